@@ -1,0 +1,205 @@
+"""The nouns that pass from stage to stage: frozen, with their units in their names.
+
+World frame: the panel is the plane z = 0, z points out of the paint towards the camera, millimetres.
+Image frame: pixel centres lie on integers, (0, 0) is the centre of the top-left pixel, x right, y down, pixels.
+Grey values are digital numbers (DN) as the sensor gave them. Heights that leave the program are micrometres.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.intp]
+Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+
+
+class Verdict(enum.IntEnum):
+    """What the line is told of a frame or a panel. Zero is no verdict, so a zeroed register is never a PASS."""
+
+    NOT_INSPECTED = 0
+    PASS = 1
+    FAIL = 2
+
+
+class Reason(enum.IntFlag):
+    """Why a verdict is what it is; each name is one bit of the PLC's reason word."""
+
+    HEIGHT_LIMIT = 1 << 0
+    HEIGHT_WITHIN_GUARD_BAND = 1 << 1
+    COUNT_LIMIT = 1 << 2
+    DENSITY_LIMIT = 1 << 3
+    ZONE_LIMIT = 1 << 4
+    UNPAIRED_LIMIT = 1 << 5
+    UNMEASURED_SEED = 1 << 6
+    FRAME_UNREADABLE = 1 << 8
+    FRAME_WRONG_SHAPE = 1 << 9
+    FRAME_BLACK = 1 << 10
+    FRAME_OVERLIT = 1 << 11
+    TOO_MANY_HIGHLIGHTS = 1 << 12
+    DEVICE_FAULT = 1 << 13
+    EXPOSURE_NOT_AS_SET = 1 << 14
+    LAMP_NOT_AS_SET = 1 << 15
+
+
+class Flag(enum.IntFlag):
+    """What is unusual about a highlight, a pair or a defect."""
+
+    SATURATED = 1 << 0
+    MERGED = 1 << 1
+    AT_EDGE = 1 << 2
+    TOO_SMALL = 1 << 3
+    TOO_LARGE = 1 << 4
+    HOT_PIXEL = 1 << 5
+    INCONSISTENT = 1 << 6
+    PAINT_POOL = 1 << 7
+    PARTNER_OUTSIDE_FRAME = 1 << 8
+    PARTNER_HIDDEN = 1 << 9
+    DUST = 1 << 10
+    AMBIGUOUS = 1 << 11
+    FAINT = 1 << 12
+
+    def names(self) -> tuple[str, ...]:
+        """The set flags' names in lower case, lowest bit first."""
+        return tuple(str(f.name).lower() for f in Flag if f in self)
+
+
+class State(enum.IntEnum):
+    """Station states, named as in OPC 40100-1 (machine vision), section 8."""
+
+    PREOPERATIONAL = 0
+    INITIALIZED = 1
+    READY = 2
+    SINGLE_EXECUTION = 3
+    CONTINUOUS_EXECUTION = 4
+    HALTED = 5
+    ERROR = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One grey image with what it was really taken at.
+
+    ``image`` is (H, W) uint8 or uint16; ``exposure_us`` and ``lamp_v`` are as read back, None when not known.
+    """
+
+    image: Image
+    name: str
+    frame_id: int = 0
+    exposure_us: float | None = None
+    lamp_v: float | None = None
+    taken_at_s: float = 0.0
+    """Unix time of the exposure, seconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Highlights:
+    """The bright spots of one frame, as arrays of one row a spot, brightest part of the image first to last row.
+
+    ``xy_px`` (n, 2); ``covariance_px2`` (n, 2, 2) of the centroid; ``flux_dn`` (n,) sum over the local background;
+    ``peak_dn`` (n,) largest grey value over the background; ``area_px`` (n,); ``flags`` (n,) of :class:`Flag`.
+    """
+
+    xy_px: FloatArray
+    covariance_px2: FloatArray
+    flux_dn: FloatArray
+    peak_dn: FloatArray
+    area_px: IntArray
+    flags: IntArray
+    threshold_dn: float = 0.0
+    background_dn: float = 0.0
+    noise_dn: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.xy_px)
+
+
+@dataclass(frozen=True, slots=True)
+class HighlightPairs:
+    """Which highlight is a seed's direct spot and which its mirror: indices into :class:`Highlights`.
+
+    ``direct`` and ``mirror`` (k,); ``unpaired`` (m,) with ``unpaired_flags`` (m,) saying what each may be;
+    ``flags`` (k,).
+    """
+
+    direct: IntArray
+    mirror: IntArray
+    unpaired: IntArray
+    flags: IntArray
+    unpaired_flags: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Defect:
+    """A seed: where it stands on the panel and how high it is. ``height_sigma_um`` is None if the method has none."""
+
+    x_mm: float
+    y_mm: float
+    height_um: float
+    height_sigma_um: float | None
+    direct_px: tuple[float, float]
+    mirror_px: tuple[float, float]
+    flags: Flag = Flag(0)
+    residual_sigma: float | None = None
+    """Residual of the pair's redundant equation over its uncertainty; None if the method has none."""
+    sunk_bias_um: float | None = None
+    """How much a seed sunk in the paint may read low; apart from ``height_sigma_um``; None if the method has none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unpaired:
+    """A highlight that belongs to no pair, and what it may be."""
+
+    x_px: float
+    y_px: float
+    flags: Flag = Flag(0)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameResult:
+    """What one frame says. ``reasons_text`` has one sentence for each reason; empty for a plain PASS."""
+
+    frame: str
+    verdict: Verdict
+    reasons: Reason = Reason(0)
+    reasons_text: tuple[str, ...] = ()
+    defects: tuple[Defect, ...] = ()
+    unpaired: tuple[Unpaired, ...] = ()
+    elapsed_us: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """Everything that the result block of the register map shows, at one moment."""
+
+    state: State = State.PREOPERATIONAL
+    fault_code: int = 0
+    sequence: int = 0
+    acquisition_id: int = 0
+    panel_id: int = 0
+    recipe_id: int = 0
+    verdict: Verdict = Verdict.NOT_INSPECTED
+    reasons: Reason = Reason(0)
+    defects: tuple[Defect, ...] = ()
+    unpaired_count: int = 0
+    result_at_s: float | None = None
+    """Monotonic time the result was published, seconds; None while there is none."""
+    elapsed_us: float = 0.0
+    cycle_us: float = 0.0
+    panels_passed: int = 0
+    panels_failed: int = 0
+    panels_not_inspected: int = 0
+    missed_triggers: int = 0
+    overruns: int = 0
+    lamp_set_v: float = 0.0
+    lamp_read_v: float = 0.0
+    lamp_ok: bool = False
+    camera_ok: bool = False
+    exposure_us: float = 0.0
+    configuration_hash: int = 0
+    simulated: bool = False
+    extra: dict[str, float] = field(default_factory=dict)

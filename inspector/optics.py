@@ -1,0 +1,132 @@
+"""The camera, the lamp and the paint as a mirror: where a point of the panel appears, and where a pixel looks.
+
+Camera model: R. Y. Tsai, "A versatile camera calibration technique ...", IEEE J. Robotics and Automation RA-3(4),
+1987, as the thesis uses it (App. B, B.1-B.19): world -> camera (R, T), perspective, radial distortion of one
+coefficient that acts from the *distorted* to the undistorted sensor plane, then pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from inspector.model import FloatArray
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A calibrated camera. ``rotation`` (3, 3) and ``translation_mm`` (3,) carry world points into its frame."""
+
+    width_px: int
+    height_px: int
+    f_mm: float
+    kappa1_per_mm2: float
+    sx: float
+    cx_px: float
+    cy_px: float
+    dx_mm: float
+    dy_mm: float
+    rotation: FloatArray
+    translation_mm: FloatArray
+
+    @cached_property
+    def centre_mm(self) -> FloatArray:
+        """The centre of projection in the world, (3,) mm: C = -R^T T, by solving, since a file's R is rounded."""
+        return -np.linalg.solve(self.rotation, self.translation_mm)
+
+    def project(self, points_mm: FloatArray) -> FloatArray:
+        """Pixels (n, 2) of world points (n, 3) mm. NaN behind the camera or beyond the distortion's reach."""
+        c = points_mm @ self.rotation.T + self.translation_mm
+        with np.errstate(divide="ignore", invalid="ignore"):
+            undistorted = self.f_mm * c[:, :2] / np.where(c[:, 2:] > 0, c[:, 2:], np.nan)
+        return self.pixels(self.distort(undistorted))
+
+    def pixels(self, sensor_mm: FloatArray) -> FloatArray:
+        """Pixels (n, 2) of distorted sensor coordinates (n, 2) mm (B.16, B.17)."""
+        return sensor_mm * [self.sx / self.dx_mm, 1 / self.dy_mm] + [self.cx_px, self.cy_px]
+
+    def sensor(self, xy_px: FloatArray) -> FloatArray:
+        """Distorted sensor coordinates (n, 2) mm of pixels (n, 2)."""
+        return (xy_px - [self.cx_px, self.cy_px]) * [self.dx_mm / self.sx, self.dy_mm]
+
+    def undistort(self, distorted_mm: FloatArray) -> FloatArray:
+        """Undistorted sensor coordinates: Xu = Xd (1 + kappa1 r_d^2)."""
+        r2 = np.sum(distorted_mm**2, axis=1, keepdims=True)
+        return distorted_mm * (1 + self.kappa1_per_mm2 * r2)
+
+    def distort(self, undistorted_mm: FloatArray) -> FloatArray:
+        """The inverse of :meth:`undistort`: Newton on r_d (1 + kappa1 r_d^2) = r_u. NaN where there is none."""
+        k = self.kappa1_per_mm2
+        if k == 0:
+            return undistorted_mm
+        ru = np.linalg.norm(undistorted_mm, axis=1, keepdims=True)
+        # Start above the root where kappa1 > 0 (f is convex there), at r_u where it is not: Newton is then monotone.
+        rd = np.minimum(ru, np.cbrt(ru / k)) if k > 0 else ru
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for _ in range(20):
+                step = (rd * (1 + k * rd * rd) - ru) / (1 + 3 * k * rd * rd)
+                rd = rd - step
+                if not np.nanmax(np.abs(step), initial=0.0) > 1e-15:
+                    break
+            bad = (1 + 3 * k * rd * rd <= 0) | ~(np.abs(rd * (1 + k * rd * rd) - ru) <= 1e-9 * (1 + ru))
+            return np.where(bad, np.nan, undistorted_mm * np.where(ru > 0, rd / ru, 1.0))
+
+    def rays(self, xy_px: FloatArray) -> FloatArray:
+        """Directions (n, 3) in the world, not normalised, from the centre through pixels (n, 2)."""
+        u = self.undistort(self.sensor(xy_px))
+        in_camera = np.column_stack([u, np.full(len(u), self.f_mm)])
+        return np.linalg.solve(self.rotation, in_camera.T).T
+
+    def back_project(self, xy_px: FloatArray, z_mm: float = 0.0) -> FloatArray:
+        """Panel coordinates (n, 2) mm of pixels (n, 2), on the plane z = ``z_mm``; NaN if the ray never meets it."""
+        ray = self.rays(xy_px)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = (z_mm - self.centre_mm[2]) / ray[:, 2]
+            along = np.where(along > 0, along, np.nan)
+        return self.centre_mm[:2] + along[:, None] * ray[:, :2]
+
+
+@dataclass(frozen=True)
+class Light:
+    """The lamp: far away in a ``direction`` (unit, panel to lamp), or near, at ``position_mm``; one of them is None."""
+
+    direction: FloatArray | None
+    position_mm: FloatArray | None = None
+    angular_sigma_deg: float | None = None
+
+    def toward(self, points_mm: FloatArray) -> FloatArray:
+        """Unit vectors (n, 3) from world points (n, 3) mm towards the lamp."""
+        if self.position_mm is None:
+            assert self.direction is not None
+            return np.broadcast_to(self.direction, points_mm.shape)
+        away = self.position_mm - points_mm
+        return away / np.linalg.norm(away, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Grey value = black + (saturation - black) * light ** gamma. ``black_dn`` None: estimated from the frame."""
+
+    gamma: float = 1.0
+    black_dn: float | None = None
+    saturation_dn: float = 255.0
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """One station's geometry: all that turns two pixels into a height.
+
+    ``view_angle_deg`` is the nominal beta that only the thesis' method uses; ``height_gain`` multiplies heights
+    (fitted from measured samples); ``covariance`` is the camera parameters' own (p, p) with ``covariance_of`` naming
+    its p rows, None when the calibration was not fitted here.
+    """
+
+    camera: Camera
+    light: Light
+    view_angle_deg: float
+    sensor: Sensor = Sensor()
+    height_gain: float = 1.0
+    covariance: FloatArray | None = None
+    covariance_of: tuple[str, ...] = ()

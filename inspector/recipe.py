@@ -1,0 +1,96 @@
+"""What a paint colour and part type decide: exposure, lamp level, detection, method, limits and zones.
+
+Frozen and strict; the stages take these models as they are.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
+
+
+class Strict(BaseModel):
+    """Base of every settings model: unknown keys and silent conversions are errors; instances do not change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
+
+
+class Detection(Strict):
+    """How highlights are found."""
+
+    threshold_dn: PositiveFloat | None = None
+    """Grey level above which a pixel is lit, DN; null: set from each frame's own background and noise."""
+    threshold_sigma: float = Field(8.0, ge=3, le=100)
+    """With threshold_dn null: how many background standard deviations above the background a lit pixel is."""
+    min_area_px: PositiveInt = 1
+    """Smaller highlights are flagged too_small, pixels."""
+    max_area_px: PositiveInt = 2000
+    """Larger highlights are flagged too_large, pixels."""
+    max_highlights: PositiveInt = 2048
+    """A frame with more is refused as lit all over."""
+    max_lit_fraction: float = Field(0.05, gt=0, le=1)
+    """A frame with a larger share of lit pixels is refused as lit all over."""
+
+
+class Zone(Strict):
+    """A rectangle of the panel with limits of its own (the stricter of its own and the panel's holds)."""
+
+    name: str = Field(min_length=1)
+    """Name shown in reasons."""
+    x_min_mm: float
+    """Left edge on the panel, mm."""
+    x_max_mm: float
+    """Right edge on the panel, mm."""
+    y_min_mm: float
+    """Lower edge on the panel, mm."""
+    y_max_mm: float
+    """Upper edge on the panel, mm."""
+    max_height_um: PositiveFloat | None = None
+    """A defect higher than this fails the panel, um; null: no limit of its own."""
+    max_count: int | None = Field(None, ge=0)
+    """More defects than this in the zone fail the panel; null: no limit."""
+    ignore: bool = False
+    """True: defects in the zone are reported but not judged."""
+
+
+class Limits(Strict):
+    """When a panel fails. A null limit is not applied."""
+
+    max_height_um: PositiveFloat | None = 500.0
+    """A defect higher than this fails the panel, um."""
+    min_height_um: float = Field(0.0, ge=0)
+    """Defects surely lower than this are reported but not judged, um."""
+    guard_band_sigma: float = Field(2.0, ge=0, le=10)
+    """Guard band: a height within this many of its own sigmas of a limit is decided by guard_band."""
+    guard_band: Literal["fail", "pass"] = "fail"
+    """What a height within the guard band of its limit means; fail is the safe side (ISO 14253-1)."""
+    max_count: int | None = Field(None, ge=0)
+    """More defects than this fail the panel."""
+    max_per_m2: PositiveFloat | None = None
+    """A higher density of defects fails the panel, defects per square metre of inspected area."""
+    max_unpaired: int | None = Field(None, ge=0)
+    """More unexplained unpaired highlights than this fail the panel."""
+    unmeasured_seed: Literal["fail", "report"] = "fail"
+    """What a highlight that is surely a seed, but has no height (merged, partner hidden or cut off), means."""
+    zones: tuple[Zone, ...] = Field((), strict=False)
+    """Rectangles with limits of their own."""
+
+
+class Recipe(Strict):
+    """Everything a paint colour or part type decides."""
+
+    id: int = Field(1, ge=1, le=65535)
+    """Number by which the PLC selects the recipe."""
+    name: str = Field("default", min_length=1)
+    """Name shown to people."""
+    exposure_us: PositiveFloat = 1000.0
+    """Exposure, microseconds."""
+    lamp_percent: float = Field(80.0, ge=0, le=100)
+    """Lamp intensity, percent of full."""
+    method: Literal["exact", "thesis"] = "exact"
+    """How heights are computed: exact (the product's model) or thesis (the 2004 formula)."""
+    detection: Detection = Detection()
+    """How highlights are found."""
+    limits: Limits = Limits()
+    """When a panel fails."""
