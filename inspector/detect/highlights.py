@@ -1,0 +1,352 @@
+"""Image -> highlights: lit components, split into spots, each with a sub-pixel centre and its covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from inspector.detect import fit as fitting
+from inspector.detect import lit as lit_stage
+from inspector.detect.lit import Background, Lit
+from inspector.model import Flag, FloatArray, Highlights, Image, IntArray, Reason
+from inspector.optics import Sensor
+from inspector.recipe import Detection
+
+Bools = npt.NDArray[np.bool_]
+
+SATURATED_SHARE = 0.98
+"""Pixels at this share of full scale are taken as clipped: pattern noise comes after the clip on many sensors."""
+OVERLIT_SHARE = 0.6
+"""A panel whose median is above this share of full scale is lit all over."""
+BLACK_SHARE = 0.008
+"""A frame with nothing above this share of full scale (2 of 255 DN) is black: a live sensor shows more noise."""
+BLOOM_PX = 0.75
+"""Plateaus longer by this much along one axis, on average over the frame, tell of charge running over."""
+HOT_SHARE = 0.25
+"""A lens spreads every spot: four neighbours together under this share of the peak make it a hot pixel."""
+SADDLE_SHARE = 0.85
+"""Two peaks with a dip between them that is not below this share of the lower one are one spot."""
+WINDOW_RADIUS_PX = (4, 12)
+"""Radius of the fit's windows, least and most: the spot and two pixels of background around it."""
+ELECTRONS_PER_DN_8BIT = 60.0
+"""Shot noise of a common 15,000 electron well on 255 DN; each fit's own residual corrects it."""
+PATTERN_SHARE = 0.006
+"""Photo-response non-uniformity as a share of the signal (EMVA 1288 data sheets: 0.3 to 1 %)."""
+SYSTEMATIC_PX = 0.006
+"""What a perfect fit still misses: the profile is not quite a Gaussian (found on rendered spots)."""
+BLOOM_SIGMA_PX = 0.03
+"""Standard deviation of a bloomed spot's charge centroid (found on rendered spots)."""
+LOST_PX = 2.5
+"""A fit that ends further from where it started is not believed."""
+LOST_SIGMA_PX = 0.5
+"""Standard deviation given to a centre whose fit was not believed."""
+
+
+class FrameRefused(ValueError):
+    """The frame cannot be judged; ``reason`` is the bit, the text says what is wrong and what to do."""
+
+    def __init__(self, reason: Reason, text: str) -> None:
+        super().__init__(text)
+        self.reason = reason
+
+
+def find(image: Image, detection: Detection, sensor: Sensor) -> Highlights:
+    """Find all highlights of one frame, in row-major order of their first lit pixel.
+
+    ``image`` (H, W) uint8 or uint16 of any stride. Raises FrameRefused for a frame that is black or lit all over.
+    """
+    ground = lit_stage.background(image)
+    sensor = _full_scale(image, sensor)
+    lit = _lit(image, detection, sensor, ground)
+    spots = _spots(image, lit, SATURATED_SHARE * sensor.saturation_dn)
+    return _measured(image, lit, spots, ground, detection, sensor)
+
+
+def _full_scale(image: Image, sensor: Sensor) -> Sensor:
+    """The sensor with its full scale: a 16-bit frame under the 8-bit default is of the least depth that holds it."""
+    if image.dtype.itemsize == 1 or sensor.saturation_dn > 255:
+        return sensor
+    largest = float(image.max(initial=0))
+    return replace(sensor, saturation_dn=next(s for s in (255.0, 1023.0, 4095.0, 16383.0, 65535.0) if s >= largest))
+
+
+def _lit(image: Image, detection: Detection, sensor: Sensor, ground: Background) -> Lit:
+    """The lit pixels, or FrameRefused where the frame shows that it is no dark panel with a few highlights."""
+    full = sensor.saturation_dn
+    if ground.level_dn > OVERLIT_SHARE * full:
+        raise FrameRefused(
+            Reason.FRAME_OVERLIT,
+            f"the frame is lit all over (median {ground.level_dn:.0f} of {full:.0f} DN): shield it or lower the exposure",
+        )
+    row_peaks = image.max(axis=1)
+    if row_peaks.max(initial=0) <= BLACK_SHARE * full:
+        raise FrameRefused(
+            Reason.FRAME_BLACK,
+            f"the frame is black (nothing above {BLACK_SHARE * full:.0f} DN): check lamp, lens cap and exposure",
+        )
+    rise = detection.threshold_sigma * ground.noise_dn
+    threshold = detection.threshold_dn if detection.threshold_dn is not None else float(ground.tiles_dn.max()) + rise
+    if detection.threshold_dn is None and not ground.flat():
+        found = lit_stage.above_background(image, row_peaks, ground, rise, detection.max_lit_fraction)
+    else:
+        found = lit_stage.above(image, row_peaks, threshold, detection.max_lit_fraction)
+    if found is None:
+        raise FrameRefused(
+            Reason.FRAME_OVERLIT,
+            f"more than {100 * detection.max_lit_fraction:g} % of the frame is above the threshold"
+            f" ({threshold:.0f} DN, background {ground.level_dn:.0f} DN): shield it, lower the exposure or raise the threshold",
+        )
+    rows, columns = found
+    component = lit_stage.components(rows, columns, image.shape[1])
+    count = int(component.max(initial=-1)) + 1
+    if count > detection.max_highlights:
+        raise FrameRefused(
+            Reason.TOO_MANY_HIGHLIGHTS,
+            f"{count} highlights, more than max_highlights ({detection.max_highlights}): clean or shield the panel",
+        )
+    return Lit(rows, columns, image[rows, columns].astype(np.float64), component, count, threshold)
+
+
+@dataclass(frozen=True)
+class _Spots:
+    """Where to fit: centre (n, 2) x, y px; component (n,); saturated (n,); unusable pixels as rows and columns."""
+
+    centre_px: FloatArray
+    component: IntArray
+    saturated_px: IntArray
+    narrow_px: FloatArray
+    blind_rows: IntArray
+    blind_columns: IntArray
+    blooms: bool
+
+
+def _spots(image: Image, lit: Lit, saturated_dn: float) -> _Spots:
+    """One spot for each saturated plateau and each local maximum beside them."""
+    is_saturated = lit.grey_dn >= saturated_dn
+    rows, columns = lit.rows[is_saturated], lit.columns[is_saturated]
+    plateau = lit_stage.components(rows, columns, image.shape[1])
+    count = int(plateau.max(initial=-1)) + 1
+    size = np.bincount(plateau, minlength=count)
+    centre = np.column_stack([np.bincount(plateau, v, count) for v in (columns, rows)]) / np.maximum(size, 1)[:, None]
+    tall, wide = (_extent(plateau, v, count) for v in (rows, columns))
+    first = np.searchsorted(np.sort(plateau), np.arange(count))
+    of_plateau = lit.component[is_saturated][np.argsort(plateau, kind="stable")][first]
+    blind_rows, blind_columns, blooms = _blind(rows, columns, tall, wide)
+    peak = _local_maxima(image, lit, saturated_dn)
+    return _Spots(
+        np.vstack([centre, np.column_stack([lit.columns[peak], lit.rows[peak]])]),
+        np.concatenate([of_plateau, lit.component[peak]]),
+        np.concatenate([size, np.zeros(len(peak), np.intp)]),
+        np.concatenate([np.minimum(tall, wide), np.zeros(len(peak))]),
+        blind_rows,
+        blind_columns,
+        blooms,
+    )
+
+
+def _extent(label: IntArray, value: IntArray, count: int) -> FloatArray:
+    """Largest less smallest value plus one of each label, (count,)."""
+    low, high = np.full(count, np.iinfo(np.intp).max), np.full(count, -1)
+    np.minimum.at(low, label, value)
+    np.maximum.at(high, label, value)
+    return (high - low + 1).astype(np.float64)
+
+
+def _blind(rows: IntArray, columns: IntArray, tall: FloatArray, wide: FloatArray) -> tuple[IntArray, IntArray, bool]:
+    """Pixels that tell nothing, and whether charge blooms: the saturated, and then also each end of a run.
+
+    An overflowing pixel fills the next along its column (or row) until one takes what is left: that one is spoilt.
+    """
+    longer = float(np.mean(tall - wide)) if len(tall) else 0.0
+    if abs(longer) < BLOOM_PX or np.abs(tall - wide).max() < 2:
+        return rows, columns, False
+    dr, dc = (1, 0) if longer > 0 else (0, 1)
+    return np.concatenate([rows, rows + dr, rows - dr]), np.concatenate([columns, columns + dc, columns - dc]), True
+
+
+def _local_maxima(image: Image, lit: Lit, saturated_dn: float) -> IntArray:
+    """Indices into ``lit`` of unsaturated pixels that no neighbour outshines; equals go to the first."""
+    height, width = image.shape
+    best = lit.grey_dn < saturated_dn
+    for dr in (-1, 0, 1):
+        for dc in (-1, 0, 1):
+            if dr == dc == 0:
+                continue
+            r, c = lit.rows + dr, lit.columns + dc
+            inside = (r >= 0) & (r < height) & (c >= 0) & (c < width)
+            other = np.where(inside, image[np.clip(r, 0, height - 1), np.clip(c, 0, width - 1)], 0)
+            earlier = dr < 0 or (dr == 0 and dc < 0)
+            best &= (lit.grey_dn > other if earlier else lit.grey_dn >= other) & (other < saturated_dn)
+    return np.flatnonzero(best)
+
+
+def _measured(
+    image: Image, lit: Lit, spots: _Spots, ground: Background, detection: Detection, sensor: Sensor
+) -> Highlights:
+    """Centres, their covariance, flux, peak, area and flags of all spots."""
+    if len(spots.centre_px) == 0:
+        return none(lit.threshold_dn, ground)
+    response = Response(sensor, ground)
+    share = np.bincount(lit.component, minlength=lit.count) / np.bincount(spots.component, minlength=lit.count)
+    area = share[spots.component]
+    centre = np.rint(spots.centre_px)
+    start = _start(image, spots, area, centre, lit.threshold_dn, response)
+    radius = np.clip(np.ceil(np.sqrt(area / np.pi)) + 2, *WINDOW_RADIUS_PX)
+    windows = _cut(image, spots, centre.astype(np.intp), radius, response)
+    saturated = spots.saturated_px > 0
+    fitted = fitting.fit(windows, start, saturated, 2 * float(radius.max()))
+    flags = _flags(image, lit, spots, fitted, area, detection)
+    covariance, xy = _believed(fitted, spots)
+    if spots.blooms:
+        xy[saturated] = _charge_centroids(lit, spots, start, response)[saturated]
+        covariance[saturated] = BLOOM_SIGMA_PX**2 * np.eye(2)
+    blur = np.sqrt(np.maximum(fitted.blur_px2[:, 0] * fitted.blur_px2[:, 2] - fitted.blur_px2[:, 1] ** 2, 0))
+    return Highlights(
+        xy_px=xy,
+        covariance_px2=covariance,
+        flux_dn=2 * np.pi * blur * fitted.peak_dn,
+        peak_dn=fitted.peak_dn,
+        area_px=np.rint(area).astype(np.intp),
+        flags=flags,
+        threshold_dn=lit.threshold_dn,
+        background_dn=ground.level_dn,
+        noise_dn=ground.noise_dn,
+    )
+
+
+@dataclass(frozen=True)
+class Response:
+    """Grey values to linear light, on a scale on which full scale stays where it is."""
+
+    sensor: Sensor
+    ground: Background
+
+    @property
+    def black_dn(self) -> float:
+        """The sensor's black, DN: from the calibration, or the darkest that the frame shows."""
+        return self.ground.black_dn if self.sensor.black_dn is None else self.sensor.black_dn
+
+    def light(self, grey_dn: FloatArray) -> FloatArray:
+        """Linear light of grey values, in DN of a linear sensor (F.1 inverted)."""
+        if self.sensor.gamma == 1:
+            return grey_dn
+        span = self.sensor.saturation_dn - self.black_dn
+        return np.maximum((grey_dn - self.black_dn) / span, 0.0) ** (1 / self.sensor.gamma) * span + self.black_dn
+
+    def variance(self, light: FloatArray) -> FloatArray:
+        """Variance of linear light, DN^2: read noise, shot noise over the background, pattern."""
+        dn = self.sensor.saturation_dn / 255
+        level = self.light(np.array([self.ground.level_dn]))[0]
+        read = max(self.ground.noise_dn, 0.5 * dn)
+        shot = np.maximum(light - level, 0.0) * dn / ELECTRONS_PER_DN_8BIT
+        return read**2 + shot + (PATTERN_SHARE * light) ** 2
+
+
+def _start(
+    image: Image, spots: _Spots, area: FloatArray, centre: FloatArray, threshold_dn: float, response: Response
+) -> FloatArray:
+    """First guess (n, 9) for the fit. A Gaussian of peak P covers 2 pi s^2 ln(P/T) pixels above a threshold T."""
+    rows, columns = centre[:, 1].astype(np.intp), centre[:, 0].astype(np.intp)
+    grey = image[rows, columns].astype(np.float64)
+    level = response.ground.at(rows, columns, image.shape)
+    light, ground, threshold, full = (
+        response.light(v) for v in (grey, level, np.maximum(threshold_dn, level + 1), np.full_like(grey, response.sensor.saturation_dn))
+    )
+    saturated = spots.saturated_px > 0
+    peak = np.maximum(np.where(saturated, full, light) - ground, 1.0)
+    ring = np.where(saturated, np.maximum(area - spots.saturated_px, 4), area)
+    blur = np.clip(ring / (2 * np.pi * np.log(np.maximum(peak / (threshold - ground), 1.3))), 0.25, 16.0)
+    plateau = np.exp(np.minimum(spots.narrow_px**2 / (8 * blur), 5.0))
+    start = np.zeros((len(centre), fitting.PARAMETERS))
+    start[:, fitting.X : fitting.Y + 1] = spots.centre_px - centre
+    start[:, fitting.LOG_PEAK] = np.log(peak * plateau)
+    start[:, fitting.SXX] = start[:, fitting.SYY] = blur
+    start[:, fitting.BACKGROUND] = ground
+    return start
+
+
+def _cut(image: Image, spots: _Spots, centre: IntArray, radius: FloatArray, response: Response) -> fitting.Windows:
+    """Cut a round window of each spot's own radius (n,) around integer centres (n, 2), in linear light."""
+    height, width = image.shape
+    span = np.arange(-int(radius.max()), int(radius.max()) + 1)
+    dy, dx = (a.ravel() for a in np.meshgrid(span, span, indexing="ij"))
+    distance2 = dx * dx + dy * dy
+    inside = distance2 <= (radius.max() + 0.3) ** 2
+    dx, dy, distance2 = dx[inside], dy[inside], distance2[inside]
+    rows, columns = centre[:, 1:] + dy, centre[:, :1] + dx
+    usable = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    usable &= distance2 <= (radius[:, None] + 0.3) ** 2
+    grey = image[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)].astype(np.float64)
+    usable &= grey < SATURATED_SHARE * response.sensor.saturation_dn
+    if len(spots.blind_rows):
+        usable &= ~np.isin(rows * (width + 2) + columns, spots.blind_rows * (width + 2) + spots.blind_columns)
+    light = response.light(grey)
+    return fitting.Windows(light, response.variance(light), usable, dx.astype(float), dy.astype(float), centre.astype(float))
+
+
+def _flags(
+    image: Image, lit: Lit, spots: _Spots, fitted: fitting.Fitted, area: FloatArray, detection: Detection
+) -> IntArray:
+    """Flags (n,) of each spot."""
+    flags = np.zeros(len(area), np.intp)
+    flags[spots.saturated_px > 0] |= Flag.SATURATED
+    flags[np.bincount(spots.component, minlength=lit.count)[spots.component] > 1] |= Flag.MERGED
+    flags[area < detection.min_area_px] |= Flag.TOO_SMALL
+    flags[area > detection.max_area_px] |= Flag.TOO_LARGE
+    height, width = image.shape
+    border = (lit.rows == 0) | (lit.rows == height - 1) | (lit.columns == 0) | (lit.columns == width - 1)
+    flags[np.isin(spots.component, lit.component[border])] |= Flag.AT_EDGE
+    flags[_hot(image, spots)] |= Flag.HOT_PIXEL
+    return flags
+
+
+def _hot(image: Image, spots: _Spots) -> Bools:
+    """Which spots are a single pixel that no lens can have made, (n,)."""
+    x, y = np.rint(spots.centre_px).astype(np.intp).T
+    height, width = image.shape
+    inside = (x >= 1) & (x < width - 1) & (y >= 1) & (y < height - 1)
+    x, y = np.clip(x, 1, max(width - 2, 1)), np.clip(y, 1, max(height - 2, 1))
+    if width < 3 or height < 3:
+        return np.zeros(len(x), np.bool_)
+    cross = np.stack([image[y, x - 1], image[y, x + 1], image[y - 1, x], image[y + 1, x]]).astype(np.float64)
+    ring = np.stack([image[y - 1, x - 1], image[y - 1, x + 1], image[y + 1, x - 1], image[y + 1, x + 1]])
+    ground = np.minimum(np.median(ring, axis=0), cross.min(axis=0))
+    return inside & ((cross - ground).sum(axis=0) < HOT_SHARE * (image[y, x] - ground))
+
+
+def _believed(fitted: fitting.Fitted, spots: _Spots) -> tuple[FloatArray, FloatArray]:
+    """Covariance (n, 2, 2) and centres (n, 2): where a fit ran away, the plain centre and a large uncertainty."""
+    covariance = fitted.covariance_px2 * np.maximum(fitted.chi2, 1.0)[:, None, None]
+    covariance = covariance + SYSTEMATIC_PX**2 * np.eye(2)
+    away = np.abs(fitted.xy_px - spots.centre_px).max(axis=1)
+    lost = ~(away < LOST_PX) | ~np.isfinite(covariance).all(axis=(1, 2)) | (fitted.peak_dn <= 0)
+    covariance[lost] = LOST_SIGMA_PX**2 * np.eye(2)
+    return covariance, np.where(lost[:, None], spots.centre_px, fitted.xy_px)
+
+
+def _charge_centroids(lit: Lit, spots: _Spots, start: FloatArray, response: Response) -> FloatArray:
+    """Centroids (n, 2) of the lit pixels nearest to each spot, weighted by their light over the background.
+
+    Where charge blooms the flanks are spoilt, but it runs both ways alike and clipping is even on both sides: what is
+    left of the spot's charge keeps its centre.
+    """
+    n = len(spots.centre_px)
+    at = np.column_stack([lit.columns, lit.rows]).astype(np.float64)
+    distance = np.abs(at[:, None] - spots.centre_px).sum(axis=2)
+    distance[lit.component[:, None] != spots.component] = np.inf
+    owner = distance.argmin(axis=1)
+    weight = np.maximum(response.light(lit.grey_dn) - start[owner, fitting.BACKGROUND], 0.0)
+    total = np.bincount(owner, weight, n)
+    moments = np.column_stack([np.bincount(owner, weight * at[:, k], n) for k in (0, 1)])
+    return np.where(total[:, None] > 0, moments / np.maximum(total, 1e-9)[:, None], spots.centre_px)
+
+
+def none(threshold_dn: float, ground: Background) -> Highlights:
+    """A frame without highlights."""
+    empty = np.empty(0)
+    return Highlights(
+        np.empty((0, 2)), np.empty((0, 2, 2)), empty, empty, empty.astype(np.intp), empty.astype(np.intp),
+        threshold_dn, ground.level_dn, ground.noise_dn,
+    )
