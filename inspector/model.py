@@ -100,13 +100,15 @@ class Frame:
 class Highlights:
     """The bright spots of one frame, as arrays of one row a spot, brightest part of the image first to last row.
 
-    ``xy_px`` (n, 2); ``covariance_px2`` (n, 2, 2) of the centroid; ``flux_dn`` (n,) sum over the local background;
+    ``xy_px`` (n, 2); ``covariance_px2`` (n, 2, 2) of the centroid; ``flux_dn`` (n,) sum over the local background,
+    with ``flux_sigma`` (n,) the standard deviation of its logarithm;
     ``peak_dn`` (n,) largest grey value over the background; ``area_px`` (n,); ``flags`` (n,) of :class:`Flag`.
     """
 
     xy_px: FloatArray
     covariance_px2: FloatArray
     flux_dn: FloatArray
+    flux_sigma: FloatArray
     peak_dn: FloatArray
     area_px: IntArray
     flags: IntArray

@@ -15,14 +15,14 @@ import numpy.typing as npt
 
 from inspector.model import FloatArray, IntArray
 
-ROUNDS = 12
+ROUNDS = 40
 """Gauss-Newton rounds at most; isolated spots settle in four or five."""
 SETTLED_PX = 0.002
 """A round that moves no spot by more ends the fit."""
-SATURATED_BLUR_SHARE = 0.1
-"""How far a saturated spot's blur may be from the frame's usual, as a share of the variance."""
+HELD_BLUR_SHARE = 0.1
+"""How far a clipped spot's blur may be from the frame's usual, as a share of the variance."""
 FREE_BLUR_SHARE = 1.0
-"""The same for other spots, from their own first guess."""
+"""The same for typical spots, from their own first guess."""
 STEEP_SHARE = 0.1
 """A background slope of this share of the peak a pixel is already unlikely."""
 PARAMETERS = 9
@@ -33,12 +33,14 @@ X, Y, LOG_PEAK, SXX, SXY, SYY, BACKGROUND, SLOPE_X, SLOPE_Y = range(PARAMETERS)
 class Windows:
     """Round cut-outs around n spots: linear light (n, p), its variance (n, p), offsets dx, dy (p,) from the centres.
 
-    ``usable`` (n, p) is False outside the image and where a pixel tells nothing (saturated, bloomed into).
+    ``usable`` (n, p) is False outside the image and where a pixel tells nothing (bloomed into). Of a ``clipped`` (n, p)
+    pixel only that its light is at least the value given is known.
     """
 
     light: FloatArray
     variance: FloatArray
     usable: npt.NDArray[np.bool_]
+    clipped: npt.NDArray[np.bool_]
     dx: FloatArray
     dy: FloatArray
     centre_px: FloatArray
@@ -46,7 +48,10 @@ class Windows:
 
 @dataclass(frozen=True)
 class Fitted:
-    """Centres (n, 2) px with covariance (n, 2, 2), peak (n,) DN, blur covariance (n, 3) px^2, chi2 (n,) per freedom."""
+    """Centres (n, 2) px with covariance (n, 2, 2), peak (n,) DN, blur covariance (n, 3) px^2, chi2 (n,) per freedom.
+
+    ``misfit_px`` (n, 2) is the pixel where the data exceed the model most, by ``misfit_sigma`` (n,) deviations.
+    """
 
     xy_px: FloatArray
     covariance_px2: FloatArray
@@ -54,6 +59,8 @@ class Fitted:
     blur_px2: FloatArray
     chi2: FloatArray
     background_dn: FloatArray
+    misfit_px: FloatArray
+    misfit_sigma: FloatArray
 
 
 def profile(theta: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -72,22 +79,22 @@ def neighbours(centres: FloatArray, reach_px: float) -> tuple[IntArray, IntArray
     return tuple(np.nonzero(near))  # type: ignore[return-value]  # two arrays for a matrix
 
 
-def fit(windows: Windows, start: FloatArray, saturated: npt.NDArray[np.bool_], reach_px: float) -> Fitted:
+def fit(windows: Windows, start: FloatArray, typical: npt.NDArray[np.bool_], reach_px: float) -> Fitted:
     """Fit n spots at once. ``start`` (n, 9) parameters, positions as offsets from the window centres.
 
-    The blur of ``saturated`` (n,) spots is held near that of the frame's others: their flanks tell position well but
-    blur badly. ``reach_px``: spots nearer to each other see each other's light.
+    The blur of spots that are not ``typical`` (n,), the clipped ones above all, is held near that of those that are:
+    flanks tell position well but blur badly. ``reach_px``: spots nearer to each other see each other's light.
     """
     theta, w = start.copy(), windows
     expected = start.copy()
     expected[:, (SLOPE_X, SLOPE_Y)] = 0.0
-    prior = _prior(start, saturated)
+    prior = _prior(start, typical)
     weight = np.where(w.usable, 1 / w.variance, 0.0)
     i, j = neighbours(w.centre_px, reach_px)
     between = w.centre_px[i] - w.centre_px[j]
     for _ in range(ROUNDS):
-        if saturated.any() and not saturated.all():
-            expected[saturated, SXX : SYY + 1] = np.median(theta[~saturated, SXX : SYY + 1], axis=0)
+        if typical.any():
+            expected[~typical, SXX : SYY + 1] = np.median(theta[typical, SXX : SYY + 1], axis=0)
         residual, jacobian = _linearise(theta, w, i, j, between)
         weighted = jacobian * weight[:, None, :]
         normal = weighted @ jacobian.transpose(0, 2, 1)
@@ -98,7 +105,9 @@ def fit(windows: Windows, start: FloatArray, saturated: npt.NDArray[np.bool_], r
         if np.abs(step[:, :2]).max(initial=0.0) < SETTLED_PX:
             break
     residual, jacobian = _linearise(theta, w, i, j, between)
-    chi2 = np.sum(weight * residual**2, axis=1) / np.maximum(w.usable.sum(axis=1) - PARAMETERS, 1)
+    chi2 = np.sum(weight * residual**2, axis=1) / np.maximum((w.usable & ~w.clipped).sum(axis=1) - PARAMETERS, 1)
+    excess = residual * np.sqrt(weight)
+    worst = excess.argmax(axis=1)
     covariance = np.linalg.inv(normal)[:, :2, :2]
     return Fitted(
         xy_px=w.centre_px + theta[:, :2],
@@ -107,6 +116,8 @@ def fit(windows: Windows, start: FloatArray, saturated: npt.NDArray[np.bool_], r
         blur_px2=theta[:, (SXX, SXY, SYY)],
         chi2=chi2,
         background_dn=theta[:, BACKGROUND],
+        misfit_px=w.centre_px + np.column_stack([w.dx[worst], w.dy[worst]]),
+        misfit_sigma=excess[np.arange(len(theta)), worst],
     )
 
 
@@ -120,17 +131,20 @@ def _linearise(
     if len(i):
         other, _, _ = profile(theta[j], w.dx + between[:, :1], w.dy + between[:, 1:])
         np.subtract.at(residual, i, other)
+    met = w.clipped & (residual < 0)
+    residual[met] = 0.0
     jacobian = np.empty((len(theta), PARAMETERS, w.light.shape[1]))
     jacobian[:, X], jacobian[:, Y], jacobian[:, LOG_PEAK] = spot * ux, spot * uy, spot
     jacobian[:, SXX], jacobian[:, SXY], jacobian[:, SYY] = 0.5 * spot * ux * ux, spot * ux * uy, 0.5 * spot * uy * uy
     jacobian[:, BACKGROUND], jacobian[:, SLOPE_X], jacobian[:, SLOPE_Y] = 1.0, w.dx, w.dy
+    jacobian.transpose(0, 2, 1)[met] = 0.0
     return residual, jacobian
 
 
-def _prior(start: FloatArray, saturated: npt.NDArray[np.bool_]) -> FloatArray:
+def _prior(start: FloatArray, typical: npt.NDArray[np.bool_]) -> FloatArray:
     """Inverse variances (n, 9) of what is expected beforehand: a blur near the usual, a slope that is not steep."""
     prior = np.zeros((len(start), PARAMETERS))
-    spread = np.where(saturated, SATURATED_BLUR_SHARE, FREE_BLUR_SHARE) * start[:, SXX]
+    spread = np.where(typical, FREE_BLUR_SHARE, HELD_BLUR_SHARE) * start[:, SXX]
     prior[:, SXX : SYY + 1] = (1 / spread[:, None]) ** 2
     steep = STEEP_SHARE * np.exp(np.minimum(start[:, LOG_PEAK], 6.0)) + 2.0
     prior[:, SLOPE_X : SLOPE_Y + 1] = (1 / steep[:, None]) ** 2

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from inspector.detect import fit as fitting
 from inspector.detect import lit as lit_stage
 from inspector.detect.lit import Background, Lit
+from inspector.detect.spots import Spots, find_spots
 from inspector.model import Flag, FloatArray, Highlights, Image, IntArray, Reason
 from inspector.optics import Sensor
 from inspector.recipe import Detection
@@ -22,12 +23,8 @@ OVERLIT_SHARE = 0.6
 """A panel whose median is above this share of full scale is lit all over."""
 BLACK_SHARE = 0.008
 """A frame with nothing above this share of full scale (2 of 255 DN) is black: a live sensor shows more noise."""
-BLOOM_PX = 0.75
-"""Plateaus longer by this much along one axis, on average over the frame, tell of charge running over."""
 HOT_SHARE = 0.25
 """A lens spreads every spot: four neighbours together under this share of the peak make it a hot pixel."""
-SADDLE_SHARE = 0.85
-"""Two peaks with a dip between them that is not below this share of the lower one are one spot."""
 WINDOW_RADIUS_PX = (4, 12)
 """Radius of the fit's windows, least and most: the spot and two pixels of background around it."""
 ELECTRONS_PER_DN_8BIT = 60.0
@@ -38,6 +35,12 @@ SYSTEMATIC_PX = 0.006
 """What a perfect fit still misses: the profile is not quite a Gaussian (found on rendered spots)."""
 BLOOM_SIGMA_PX = 0.03
 """Standard deviation of a bloomed spot's charge centroid (found on rendered spots)."""
+FLUX_SIGMA, CLIPPED_FLUX_SIGMA, BLOOM_FLUX_SIGMA = 0.1, 0.25, 1.2
+"""Standard deviation of log flux: fitted whole, fitted on its flanks, and summed where charge was lost."""
+HIDDEN_CHI2, HIDDEN_SIGMA, HIDDEN_GAIN = 12.0, 8.0, 0.4
+"""A second spot is tried where a fit is this poor and one pixel off by so much; kept if chi2 falls to this share."""
+HIDDEN_PEAK_SHARE, LEAST_APART_PX = 0.02, 1.2
+"""A second spot fainter than this share of the first, or nearer to it, cannot be told from an unsharp one."""
 LOST_PX = 2.5
 """A fit that ends further from where it started is not believed."""
 LOST_SIGMA_PX = 0.5
@@ -60,7 +63,7 @@ def find(image: Image, detection: Detection, sensor: Sensor) -> Highlights:
     ground = lit_stage.background(image)
     sensor = _full_scale(image, sensor)
     lit = _lit(image, detection, sensor, ground)
-    spots = _spots(image, lit, SATURATED_SHARE * sensor.saturation_dn)
+    spots = find_spots(image, lit, SATURATED_SHARE * sensor.saturation_dn)
     return _measured(image, lit, spots, ground, detection, sensor)
 
 
@@ -109,104 +112,35 @@ def _lit(image: Image, detection: Detection, sensor: Sensor, ground: Background)
     return Lit(rows, columns, image[rows, columns].astype(np.float64), component, count, threshold)
 
 
-@dataclass(frozen=True)
-class _Spots:
-    """Where to fit: centre (n, 2) x, y px; component (n,); saturated (n,); unusable pixels as rows and columns."""
-
-    centre_px: FloatArray
-    component: IntArray
-    saturated_px: IntArray
-    narrow_px: FloatArray
-    blind_rows: IntArray
-    blind_columns: IntArray
-    blooms: bool
-
-
-def _spots(image: Image, lit: Lit, saturated_dn: float) -> _Spots:
-    """One spot for each saturated plateau and each local maximum beside them."""
-    is_saturated = lit.grey_dn >= saturated_dn
-    rows, columns = lit.rows[is_saturated], lit.columns[is_saturated]
-    plateau = lit_stage.components(rows, columns, image.shape[1])
-    count = int(plateau.max(initial=-1)) + 1
-    size = np.bincount(plateau, minlength=count)
-    centre = np.column_stack([np.bincount(plateau, v, count) for v in (columns, rows)]) / np.maximum(size, 1)[:, None]
-    tall, wide = (_extent(plateau, v, count) for v in (rows, columns))
-    first = np.searchsorted(np.sort(plateau), np.arange(count))
-    of_plateau = lit.component[is_saturated][np.argsort(plateau, kind="stable")][first]
-    blind_rows, blind_columns, blooms = _blind(rows, columns, tall, wide)
-    peak = _local_maxima(image, lit, saturated_dn)
-    return _Spots(
-        np.vstack([centre, np.column_stack([lit.columns[peak], lit.rows[peak]])]),
-        np.concatenate([of_plateau, lit.component[peak]]),
-        np.concatenate([size, np.zeros(len(peak), np.intp)]),
-        np.concatenate([np.minimum(tall, wide), np.zeros(len(peak))]),
-        blind_rows,
-        blind_columns,
-        blooms,
-    )
-
-
-def _extent(label: IntArray, value: IntArray, count: int) -> FloatArray:
-    """Largest less smallest value plus one of each label, (count,)."""
-    low, high = np.full(count, np.iinfo(np.intp).max), np.full(count, -1)
-    np.minimum.at(low, label, value)
-    np.maximum.at(high, label, value)
-    return (high - low + 1).astype(np.float64)
-
-
-def _blind(rows: IntArray, columns: IntArray, tall: FloatArray, wide: FloatArray) -> tuple[IntArray, IntArray, bool]:
-    """Pixels that tell nothing, and whether charge blooms: the saturated, and then also each end of a run.
-
-    An overflowing pixel fills the next along its column (or row) until one takes what is left: that one is spoilt.
-    """
-    longer = float(np.mean(tall - wide)) if len(tall) else 0.0
-    if abs(longer) < BLOOM_PX or np.abs(tall - wide).max() < 2:
-        return rows, columns, False
-    dr, dc = (1, 0) if longer > 0 else (0, 1)
-    return np.concatenate([rows, rows + dr, rows - dr]), np.concatenate([columns, columns + dc, columns - dc]), True
-
-
-def _local_maxima(image: Image, lit: Lit, saturated_dn: float) -> IntArray:
-    """Indices into ``lit`` of unsaturated pixels that no neighbour outshines; equals go to the first."""
-    height, width = image.shape
-    best = lit.grey_dn < saturated_dn
-    for dr in (-1, 0, 1):
-        for dc in (-1, 0, 1):
-            if dr == dc == 0:
-                continue
-            r, c = lit.rows + dr, lit.columns + dc
-            inside = (r >= 0) & (r < height) & (c >= 0) & (c < width)
-            other = np.where(inside, image[np.clip(r, 0, height - 1), np.clip(c, 0, width - 1)], 0)
-            earlier = dr < 0 or (dr == 0 and dc < 0)
-            best &= (lit.grey_dn > other if earlier else lit.grey_dn >= other) & (other < saturated_dn)
-    return np.flatnonzero(best)
-
-
 def _measured(
-    image: Image, lit: Lit, spots: _Spots, ground: Background, detection: Detection, sensor: Sensor
+    image: Image, lit: Lit, spots: Spots, ground: Background, detection: Detection, sensor: Sensor
 ) -> Highlights:
     """Centres, their covariance, flux, peak, area and flags of all spots."""
     if len(spots.centre_px) == 0:
         return none(lit.threshold_dn, ground)
     response = Response(sensor, ground)
-    share = np.bincount(lit.component, minlength=lit.count) / np.bincount(spots.component, minlength=lit.count)
-    area = share[spots.component]
-    centre = np.rint(spots.centre_px)
-    start = _start(image, spots, area, centre, lit.threshold_dn, response)
-    radius = np.clip(np.ceil(np.sqrt(area / np.pi)) + 2, *WINDOW_RADIUS_PX)
-    windows = _cut(image, spots, centre.astype(np.intp), radius, response)
+    fitted, start, area, flags = _fitted(image, lit, spots, detection, response)
+    more = _hidden(spots, fitted, flags)
+    if len(more):
+        crowd = spots.with_more(*more)
+        again = _fitted(image, lit, crowd, detection, response)
+        proven = _proven(fitted, again[0], more[0])
+        if len(proven):
+            spots = spots.with_more(more[0][proven], more[1][proven])
+            fitted, start, area, flags = _fitted(image, lit, spots, detection, response)
+    covariance, xy, flux = _believed(fitted, spots)
     saturated = spots.saturated_px > 0
-    fitted = fitting.fit(windows, start, saturated, 2 * float(radius.max()))
-    flags = _flags(image, lit, spots, fitted, area, detection)
-    covariance, xy = _believed(fitted, spots)
+    flux_sigma = np.where(saturated, CLIPPED_FLUX_SIGMA, FLUX_SIGMA)
     if spots.blooms:
-        xy[saturated] = _charge_centroids(lit, spots, start, response)[saturated]
+        centroid, charge = _charge(lit, spots, start, response)
+        xy[saturated], flux[saturated] = centroid[saturated], charge[saturated]
         covariance[saturated] = BLOOM_SIGMA_PX**2 * np.eye(2)
-    blur = np.sqrt(np.maximum(fitted.blur_px2[:, 0] * fitted.blur_px2[:, 2] - fitted.blur_px2[:, 1] ** 2, 0))
+        flux_sigma[saturated] = BLOOM_FLUX_SIGMA
     return Highlights(
         xy_px=xy,
         covariance_px2=covariance,
-        flux_dn=2 * np.pi * blur * fitted.peak_dn,
+        flux_dn=flux,
+        flux_sigma=flux_sigma,
         peak_dn=fitted.peak_dn,
         area_px=np.rint(area).astype(np.intp),
         flags=flags,
@@ -214,6 +148,42 @@ def _measured(
         background_dn=ground.level_dn,
         noise_dn=ground.noise_dn,
     )
+
+
+def _fitted(
+    image: Image, lit: Lit, spots: Spots, detection: Detection, response: Response
+) -> tuple[fitting.Fitted, FloatArray, FloatArray, IntArray]:
+    """Fit all spots; also the first guess, each spot's share (n,) of its component's area, and its flags (n,)."""
+    share = np.bincount(lit.component, minlength=lit.count) / np.maximum(
+        np.bincount(spots.component, minlength=lit.count), 1
+    )
+    area = share[spots.component]
+    centre = np.rint(spots.centre_px)
+    start = _start(image, spots, area, centre, lit.threshold_dn, response)
+    radius = np.clip(np.ceil(np.sqrt(area / np.pi)) + 2, *WINDOW_RADIUS_PX)
+    windows = _cut(image, spots, centre.astype(np.intp), radius, response)
+    flags = _flags(image, lit, spots, area, detection)
+    typical = (flags & (Flag.SATURATED | Flag.HOT_PIXEL | Flag.MERGED)) == 0
+    return fitting.fit(windows, start, typical, 2 * float(radius.max())), start, area, flags
+
+
+def _hidden(spots: Spots, fitted: fitting.Fitted, flags: IntArray) -> tuple[IntArray, FloatArray] | tuple[()]:
+    """Where badly fitted spots may hide another: their indices (m,) and the place (m, 2) of the largest misfit."""
+    bloomed = (spots.saturated_px > 0) & spots.blooms
+    poor = np.flatnonzero(
+        (fitted.chi2 > HIDDEN_CHI2) & (fitted.misfit_sigma > HIDDEN_SIGMA) & ~bloomed & ((flags & Flag.HOT_PIXEL) == 0)
+    )
+    return (poor, fitted.misfit_px[poor]) if len(poor) else ()
+
+
+def _proven(before: fitting.Fitted, after: fitting.Fitted, hosts: IntArray) -> IntArray:
+    """Which of the added spots (indices into ``hosts``) earn their place: the host's misfit falls by half or more."""
+    added = np.arange(len(before.chi2), len(after.chi2))
+    apart = np.hypot(*(after.xy_px[added] - after.xy_px[hosts]).T)
+    bright = after.peak_dn[added] > HIDDEN_PEAK_SHARE * after.peak_dn[hosts]
+    stayed = np.abs(after.xy_px[added] - before.misfit_px[hosts]).max(axis=1) < LOST_PX
+    better = after.chi2[hosts] < HIDDEN_GAIN * before.chi2[hosts]
+    return np.flatnonzero(better & stayed & bright & (apart > LEAST_APART_PX))
 
 
 @dataclass(frozen=True)
@@ -245,7 +215,7 @@ class Response:
 
 
 def _start(
-    image: Image, spots: _Spots, area: FloatArray, centre: FloatArray, threshold_dn: float, response: Response
+    image: Image, spots: Spots, area: FloatArray, centre: FloatArray, threshold_dn: float, response: Response
 ) -> FloatArray:
     """First guess (n, 9) for the fit. A Gaussian of peak P covers 2 pi s^2 ln(P/T) pixels above a threshold T."""
     rows, columns = centre[:, 1].astype(np.intp), centre[:, 0].astype(np.intp)
@@ -267,7 +237,7 @@ def _start(
     return start
 
 
-def _cut(image: Image, spots: _Spots, centre: IntArray, radius: FloatArray, response: Response) -> fitting.Windows:
+def _cut(image: Image, spots: Spots, centre: IntArray, radius: FloatArray, response: Response) -> fitting.Windows:
     """Cut a round window of each spot's own radius (n,) around integer centres (n, 2), in linear light."""
     height, width = image.shape
     span = np.arange(-int(radius.max()), int(radius.max()) + 1)
@@ -279,15 +249,15 @@ def _cut(image: Image, spots: _Spots, centre: IntArray, radius: FloatArray, resp
     usable = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
     usable &= distance2 <= (radius[:, None] + 0.3) ** 2
     grey = image[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)].astype(np.float64)
-    usable &= grey < SATURATED_SHARE * response.sensor.saturation_dn
-    if len(spots.blind_rows):
+    clipped = grey >= SATURATED_SHARE * response.sensor.saturation_dn
+    if spots.blooms:
         usable &= ~np.isin(rows * (width + 2) + columns, spots.blind_rows * (width + 2) + spots.blind_columns)
     light = response.light(grey)
-    return fitting.Windows(light, response.variance(light), usable, dx.astype(float), dy.astype(float), centre.astype(float))
+    return fitting.Windows(light, response.variance(light), usable, clipped, dx.astype(float), dy.astype(float), centre.astype(float))
 
 
 def _flags(
-    image: Image, lit: Lit, spots: _Spots, fitted: fitting.Fitted, area: FloatArray, detection: Detection
+    image: Image, lit: Lit, spots: Spots, area: FloatArray, detection: Detection
 ) -> IntArray:
     """Flags (n,) of each spot."""
     flags = np.zeros(len(area), np.intp)
@@ -302,7 +272,7 @@ def _flags(
     return flags
 
 
-def _hot(image: Image, spots: _Spots) -> Bools:
+def _hot(image: Image, spots: Spots) -> Bools:
     """Which spots are a single pixel that no lens can have made, (n,)."""
     x, y = np.rint(spots.centre_px).astype(np.intp).T
     height, width = image.shape
@@ -316,18 +286,21 @@ def _hot(image: Image, spots: _Spots) -> Bools:
     return inside & ((cross - ground).sum(axis=0) < HOT_SHARE * (image[y, x] - ground))
 
 
-def _believed(fitted: fitting.Fitted, spots: _Spots) -> tuple[FloatArray, FloatArray]:
-    """Covariance (n, 2, 2) and centres (n, 2): where a fit ran away, the plain centre and a large uncertainty."""
+def _believed(fitted: fitting.Fitted, spots: Spots) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Covariance (n, 2, 2), centres (n, 2), flux (n,): where a fit ran away, the plain centre, known badly."""
     covariance = fitted.covariance_px2 * np.maximum(fitted.chi2, 1.0)[:, None, None]
     covariance = covariance + SYSTEMATIC_PX**2 * np.eye(2)
     away = np.abs(fitted.xy_px - spots.centre_px).max(axis=1)
-    lost = ~(away < LOST_PX) | ~np.isfinite(covariance).all(axis=(1, 2)) | (fitted.peak_dn <= 0)
+    sxx, sxy, syy = fitted.blur_px2.T
+    flux = 2 * np.pi * np.sqrt(np.maximum(sxx * syy - sxy**2, 1e-6)) * fitted.peak_dn
+    lost = ~((away < LOST_PX) & np.isfinite(covariance).all(axis=(1, 2)) & (flux > 0) & np.isfinite(flux))
     covariance[lost] = LOST_SIGMA_PX**2 * np.eye(2)
-    return covariance, np.where(lost[:, None], spots.centre_px, fitted.xy_px)
+    flux[lost] = np.maximum(fitted.peak_dn[lost], 1.0)
+    return covariance, np.where(lost[:, None], spots.centre_px, fitted.xy_px), flux
 
 
-def _charge_centroids(lit: Lit, spots: _Spots, start: FloatArray, response: Response) -> FloatArray:
-    """Centroids (n, 2) of the lit pixels nearest to each spot, weighted by their light over the background.
+def _charge(lit: Lit, spots: Spots, start: FloatArray, response: Response) -> tuple[FloatArray, FloatArray]:
+    """Centroids (n, 2) of the lit pixels nearest to each spot, weighted by light over the background, and its sum.
 
     Where charge blooms the flanks are spoilt, but it runs both ways alike and clipping is even on both sides: what is
     left of the spot's charge keeps its centre.
@@ -340,13 +313,14 @@ def _charge_centroids(lit: Lit, spots: _Spots, start: FloatArray, response: Resp
     weight = np.maximum(response.light(lit.grey_dn) - start[owner, fitting.BACKGROUND], 0.0)
     total = np.bincount(owner, weight, n)
     moments = np.column_stack([np.bincount(owner, weight * at[:, k], n) for k in (0, 1)])
-    return np.where(total[:, None] > 0, moments / np.maximum(total, 1e-9)[:, None], spots.centre_px)
+    total = np.maximum(total, 1.0)
+    return np.where(total[:, None] > 1, moments / total[:, None], spots.centre_px), total
 
 
 def none(threshold_dn: float, ground: Background) -> Highlights:
     """A frame without highlights."""
     empty = np.empty(0)
     return Highlights(
-        np.empty((0, 2)), np.empty((0, 2, 2)), empty, empty, empty.astype(np.intp), empty.astype(np.intp),
+        np.empty((0, 2)), np.empty((0, 2, 2)), empty, empty, empty, empty.astype(np.intp), empty.astype(np.intp),
         threshold_dn, ground.level_dn, ground.noise_dn,
     )

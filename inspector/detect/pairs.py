@@ -27,9 +27,9 @@ MODEL_SHARE = 0.008
 """What the model itself may be off across the direction (sunk seeds, lamp azimuth), as a share of the distance."""
 WORTH = 9.0
 """Log odds by which a couple that fits perfectly beats two spots that only chance put there."""
-RATIO_SIGMA = 0.5
-"""Scatter of the log brightness ratio of true pairs about Fresnel's: paint index, clipped peaks, unsharp spots."""
-SIZE_SIGMA = 0.6
+RATIO_SIGMA = 0.35
+"""Scatter of the log brightness ratio of true pairs about Fresnel's beside the fluxes' own: the paint's index."""
+SIZE_SIGMA = 0.4
 """Scatter of log(flux / radius^2) among the seeds of a frame: sunk seeds show more radius than height."""
 SIZE_COST = 6.0
 """Limit of that term: a seed unlike its neighbours is rare, not impossible."""
@@ -63,8 +63,8 @@ def pair(spots: Highlights, calibration: Calibration) -> HighlightPairs:
     found = _candidates(spots, able, calibration)
     chosen = best_matching(found.direct, found.mirror, found.cost - WORTH)
     if len(chosen) >= 3:
-        unlike = (found.size - np.median(found.size[chosen])) / SIZE_SIGMA
-        found = replace(found, cost=found.cost + np.minimum(unlike**2 / 2, SIZE_COST))
+        unlike = (found.size - np.median(found.size[chosen])) ** 2 / (SIZE_SIGMA**2 + spots.flux_sigma[found.direct] ** 2)
+        found = replace(found, cost=found.cost + np.minimum(unlike / 2, SIZE_COST))
         chosen = best_matching(found.direct, found.mirror, found.cost - WORTH)
     chosen = _outermost(found, chosen)
     direct, mirror = found.direct[chosen], found.mirror[chosen]
@@ -109,7 +109,8 @@ def _scored(
         rays.take(i), rays.take(j), spots.covariance_px2[a] + model, spots.covariance_px2[b] + model, calibration
     )
     ratio = np.log(spots.flux_dn[a] / spots.flux_dn[b]) - np.log(expected_ratio(rays.along[i], rays.along[j], seeds))
-    cost = seeds.chi2 / 2 + (ratio / RATIO_SIGMA) ** 2 / 2
+    spread2 = RATIO_SIGMA**2 + spots.flux_sigma[a] ** 2 + spots.flux_sigma[b] ** 2
+    cost = seeds.chi2 / 2 + ratio**2 / (2 * spread2)
     with np.errstate(invalid="ignore", divide="ignore"):
         size = np.log(spots.flux_dn[a] / seeds.radius_mm**2)
     good = np.flatnonzero((seeds.radius_mm > 0) & (seeds.radius_mm < LARGEST_RADIUS_MM) & (cost < WORTH))

@@ -1,0 +1,161 @@
+"""Lit components -> spots: one for each saturated lobe and each local maximum beside them, and what they spoil."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from inspector.detect.lit import Lit, components
+from inspector.model import FloatArray, Image, IntArray
+
+BLOOM_PX, BLOOM_LEAST_PX = 0.75, 2
+"""Lobes longer by this much along one axis, on average, and one by so many pixels, tell of charge running over."""
+LOBE_BLUR_PX, LOBE_REACH_PX = 0.8, 2
+"""Saturated plateaus are blurred by this to show their lobes; the kernel's half size."""
+SADDLE_SHARE = 0.965
+"""Two lobes are two only where the blurred grey value between them falls below this share of the lower."""
+
+
+@dataclass(frozen=True)
+class Spots:
+    """Where to fit n spots: those with a saturated lobe first, then the local maxima.
+
+    ``centre_px`` (n, 2) x, y; ``component`` (n,); ``saturated_px`` (n,) clipped pixels; ``narrow_px`` (n,) the lobe's
+    lesser extent; ``blind_rows``, ``blind_columns`` pixels that tell nothing; ``blooms``: charge ran over.
+    """
+
+    centre_px: FloatArray
+    component: IntArray
+    saturated_px: IntArray
+    narrow_px: FloatArray
+    blind_rows: IntArray
+    blind_columns: IntArray
+    blooms: bool
+
+    def with_more(self, hosts: IntArray, centre_px: FloatArray) -> Spots:
+        """The same and one more spot in the component of each of the ``hosts`` (m,), at ``centre_px`` (m, 2)."""
+        none = np.zeros(len(hosts))
+        return replace(
+            self,
+            centre_px=np.vstack([self.centre_px, centre_px]),
+            component=np.concatenate([self.component, self.component[hosts]]),
+            saturated_px=np.concatenate([self.saturated_px, none.astype(np.intp)]),
+            narrow_px=np.concatenate([self.narrow_px, none]),
+        )
+
+
+def find_spots(image: Image, lit: Lit, saturated_dn: float) -> Spots:
+    """The spots of a frame's lit pixels; pixels of at least ``saturated_dn`` count as clipped."""
+    clipped = np.flatnonzero(lit.grey_dn >= saturated_dn)
+    rows, columns = lit.rows[clipped], lit.columns[clipped]
+    lobe = _lobes(image, rows, columns, saturated_dn)
+    count = int(lobe.max(initial=-1)) + 1
+    size = np.bincount(lobe, minlength=count)
+    centre = np.column_stack([np.bincount(lobe, v, count) for v in (columns, rows)]) / np.maximum(size, 1)[:, None]
+    tall, wide = (_extent(lobe, v, count) for v in (rows, columns))
+    home = np.zeros(count, np.intp)
+    home[lobe] = lit.component[clipped]
+    peak = _local_maxima(image, lit, saturated_dn)
+    blind_rows, blind_columns, blooms = _blind(rows, columns, tall, wide)
+    none = np.zeros(len(peak))
+    return Spots(
+        np.vstack([centre, np.column_stack([lit.columns[peak], lit.rows[peak]])]),
+        np.concatenate([home, lit.component[peak]]),
+        np.concatenate([size, none.astype(np.intp)]),
+        np.concatenate([np.minimum(tall, wide), none]),
+        blind_rows,
+        blind_columns,
+        blooms,
+    )
+
+
+def _lobes(image: Image, rows: IntArray, columns: IntArray, saturated_dn: float) -> IntArray:
+    """Which lobe each saturated pixel (n,) belongs to: plateaus, parted where they have a waist."""
+    if len(rows) == 0:
+        return np.empty(0, np.intp)
+    plateau = components(rows, columns, image.shape[1])
+    blurred = _blurred(image, rows, columns, saturated_dn)
+    tops = _tops(rows, columns, blurred)
+    at = np.column_stack([rows, columns]).astype(np.float64)
+    kept: list[int] = []
+    for t in tops[np.argsort(-blurred[tops], kind="stable")]:
+        rivals = [k for k in kept if plateau[k] == plateau[t]]
+        if all(_saddle(at, blurred, plateau, k, t) < SADDLE_SHARE * blurred[t] for k in rivals):
+            kept.append(int(t))
+    distance = np.sum((at[:, None] - at[kept]) ** 2, axis=2)
+    distance[plateau[:, None] != plateau[kept]] = np.inf
+    return np.unique(distance.argmin(axis=1), return_inverse=True)[1]
+
+
+def _blurred(image: Image, rows: IntArray, columns: IntArray, saturated_dn: float) -> FloatArray:
+    """The image, clipped evenly, under a Gaussian at the given pixels (n,)."""
+    span = np.arange(-LOBE_REACH_PX, LOBE_REACH_PX + 1)
+    kernel = np.exp(-(span**2) / (2 * LOBE_BLUR_PX**2))
+    height, width = image.shape
+    r, c = rows[:, None] + span, columns[:, None] + span
+    grey = image[np.clip(r, 0, height - 1)[:, :, None], np.clip(c, 0, width - 1)[:, None, :]]
+    return np.einsum("nij,i,j->n", np.minimum(grey, saturated_dn).astype(np.float64), kernel, kernel)
+
+
+def _tops(rows: IntArray, columns: IntArray, value: FloatArray) -> IntArray:
+    """Indices of pixels that no neighbour of the same list exceeds; equals go to the first."""
+    stride = int(columns.max()) + 3
+    flat = rows * stride + columns + 1
+    best = np.ones(len(flat), np.bool_)
+    for dr in (-1, 0, 1):
+        for dc in (-1, 0, 1):
+            if dr == dc == 0:
+                continue
+            place = np.minimum(np.searchsorted(flat, flat + dr * stride + dc), len(flat) - 1)
+            there = flat[place] == flat + dr * stride + dc
+            earlier = dr < 0 or (dr == 0 and dc < 0)
+            best &= ~there | ((value > value[place]) if earlier else (value >= value[place]))
+    return np.flatnonzero(best)
+
+
+def _saddle(at: FloatArray, value: FloatArray, plateau: IntArray, a: int, b: int) -> float:
+    """Least blurred value met on the straight way from pixel a to pixel b; 0 where the way leaves the plateau."""
+    steps = int(np.abs(at[a] - at[b]).max())
+    way = np.rint(at[a] + (at[b] - at[a]) * np.linspace(0, 1, steps + 1)[:, None])
+    same = np.flatnonzero(plateau == plateau[a])
+    met = (at[same][:, None] == way).all(axis=2)
+    if not met.any(axis=0).all():
+        return 0.0
+    return float(value[same][met.any(axis=1)].min())
+
+
+def _extent(label: IntArray, value: IntArray, count: int) -> FloatArray:
+    """Largest less smallest value plus one of each label, (count,)."""
+    low, high = np.full(count, np.iinfo(np.intp).max), np.full(count, -1)
+    np.minimum.at(low, label, value)
+    np.maximum.at(high, label, value)
+    return (high - low + 1).astype(np.float64)
+
+
+def _blind(rows: IntArray, columns: IntArray, tall: FloatArray, wide: FloatArray) -> tuple[IntArray, IntArray, bool]:
+    """Pixels that tell nothing, and whether charge blooms: the saturated, and then also each end of a run.
+
+    An overflowing pixel fills the next along its column (or row) until one takes what is left: that one is spoilt.
+    """
+    longer = tall - wide
+    if len(tall) == 0 or abs(longer.mean()) < BLOOM_PX or np.abs(longer).max() < BLOOM_LEAST_PX:
+        return rows, columns, False
+    dr, dc = (1, 0) if longer.mean() > 0 else (0, 1)
+    return np.concatenate([rows, rows + dr, rows - dr]), np.concatenate([columns, columns + dc, columns - dc]), True
+
+
+def _local_maxima(image: Image, lit: Lit, saturated_dn: float) -> IntArray:
+    """Indices into ``lit`` of unsaturated pixels that no neighbour outshines; equals go to the first."""
+    height, width = image.shape
+    best = lit.grey_dn < saturated_dn
+    for dr in (-1, 0, 1):
+        for dc in (-1, 0, 1):
+            if dr == dc == 0:
+                continue
+            r, c = lit.rows + dr, lit.columns + dc
+            inside = (r >= 0) & (r < height) & (c >= 0) & (c < width)
+            other = np.where(inside, image[np.clip(r, 0, height - 1), np.clip(c, 0, width - 1)], 0)
+            earlier = dr < 0 or (dr == 0 and dc < 0)
+            best &= (lit.grey_dn > other if earlier else lit.grey_dn >= other) & (other < saturated_dn)
+    return np.flatnonzero(best)
