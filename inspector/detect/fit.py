@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from inspector.detect.lit import least_labels
 from inspector.model import FloatArray, IntArray
 
 ROUNDS = 40
@@ -25,7 +26,9 @@ FREE_BLUR_SHARE = 1.0
 """The same for typical spots, from their own first guess."""
 STEEP_SHARE = 0.1
 """A background slope of this share of the peak a pixel is already unlikely."""
-PARAMETERS = 9
+TANGLED_PX = 6
+"""Spots nearer than this along both axes are solved together; others settle by taking turns."""
+PARAMETERS, SHAPE = 9, 6
 X, Y, LOG_PEAK, SXX, SXY, SYY, BACKGROUND, SLOPE_X, SLOPE_Y = range(PARAMETERS)
 
 
@@ -92,6 +95,7 @@ def fit(windows: Windows, start: FloatArray, typical: npt.NDArray[np.bool_], rea
     weight = np.where(w.usable, 1 / w.variance, 0.0)
     i, j = neighbours(w.centre_px, reach_px)
     between = w.centre_px[i] - w.centre_px[j]
+    tangles = _tangles(w.centre_px, i, j)
     for _ in range(ROUNDS):
         if typical.any():
             expected[~typical, SXX : SYY + 1] = np.median(theta[typical, SXX : SYY + 1], axis=0)
@@ -100,7 +104,10 @@ def fit(windows: Windows, start: FloatArray, typical: npt.NDArray[np.bool_], rea
         normal = weighted @ jacobian.transpose(0, 2, 1)
         normal[:, range(PARAMETERS), range(PARAMETERS)] += prior + 1e-9 * normal[:, range(PARAMETERS), range(PARAMETERS)]
         gradient = np.einsum("nkp,np->nk", weighted, residual) - prior * (theta - expected)
-        step = _limited(np.linalg.solve(normal, gradient[..., None])[..., 0], theta)
+        step = np.linalg.solve(normal, gradient[..., None])[..., 0]
+        for tangle in tangles:
+            step[tangle] = _joint_step(theta, w, weighted, normal, gradient, tangle)
+        step = _limited(step, theta)
         theta += step
         if np.abs(step[:, :2]).max(initial=0.0) < SETTLED_PX:
             break
@@ -121,6 +128,39 @@ def fit(windows: Windows, start: FloatArray, typical: npt.NDArray[np.bool_], rea
     )
 
 
+def _tangles(centres: FloatArray, i: IntArray, j: IntArray) -> list[IntArray]:
+    """Groups of spots so near to each other that they must be solved together: index arrays."""
+    close = np.abs(centres[i] - centres[j]).max(axis=1) <= TANGLED_PX
+    if not close.any():
+        return []
+    label = least_labels(len(centres), i[close], j[close])
+    size = np.bincount(label)
+    return [np.flatnonzero(label == k) for k in np.flatnonzero(size > 1)]
+
+
+def _joint_step(
+    theta: FloatArray, w: Windows, weighted: FloatArray, normal: FloatArray, gradient: FloatArray, tangle: IntArray
+) -> FloatArray:
+    """Newton step (k, 9) of a tangle: each spot's own equations, with what its neighbours' parameters do to them."""
+    k = len(tangle)
+    system = np.zeros((k, PARAMETERS, k, PARAMETERS))
+    for a, i in enumerate(tangle):
+        system[a, :, a] = normal[i]
+        others = np.delete(np.arange(k), a)
+        between = w.centre_px[i] - w.centre_px[tangle[others]]
+        spot, ux, uy = profile(theta[tangle[others]], w.dx + between[:, :1], w.dy + between[:, 1:])
+        system[a][:, others, :SHAPE] = np.einsum("kp,nmp->knm", weighted[i], _derivatives(spot, ux, uy))
+    step = np.linalg.lstsq(
+        system.reshape(k * PARAMETERS, -1), gradient[tangle].reshape(-1), rcond=1e-12
+    )[0]
+    return step.reshape(k, PARAMETERS)
+
+
+def _derivatives(spot: FloatArray, ux: FloatArray, uy: FloatArray) -> FloatArray:
+    """Derivatives (n, 6, p) of the spots' Gaussians by position, log peak and blur."""
+    return np.stack([spot * ux, spot * uy, spot, 0.5 * spot * ux * ux, spot * ux * uy, 0.5 * spot * uy * uy], axis=1)
+
+
 def _linearise(
     theta: FloatArray, w: Windows, i: IntArray, j: IntArray, between: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -134,8 +174,7 @@ def _linearise(
     met = w.clipped & (residual < 0)
     residual[met] = 0.0
     jacobian = np.empty((len(theta), PARAMETERS, w.light.shape[1]))
-    jacobian[:, X], jacobian[:, Y], jacobian[:, LOG_PEAK] = spot * ux, spot * uy, spot
-    jacobian[:, SXX], jacobian[:, SXY], jacobian[:, SYY] = 0.5 * spot * ux * ux, spot * ux * uy, 0.5 * spot * uy * uy
+    jacobian[:, :SHAPE] = _derivatives(spot, ux, uy)
     jacobian[:, BACKGROUND], jacobian[:, SLOPE_X], jacobian[:, SLOPE_Y] = 1.0, w.dx, w.dy
     jacobian.transpose(0, 2, 1)[met] = 0.0
     return residual, jacobian

@@ -164,6 +164,8 @@ def _fitted(
     windows = _cut(image, spots, centre.astype(np.intp), radius, response)
     flags = _flags(image, lit, spots, area, detection)
     typical = (flags & (Flag.SATURATED | Flag.HOT_PIXEL | Flag.MERGED)) == 0
+    if not typical.any():
+        typical = (flags & (Flag.SATURATED | Flag.HOT_PIXEL)) == 0
     return fitting.fit(windows, start, typical, 2 * float(radius.max())), start, area, flags
 
 

@@ -137,10 +137,10 @@ def components(rows: IntArray, columns: IntArray, width: int) -> IntArray:
     touching = np.maximum(beyond - lowest, 0)
     below = np.repeat(np.arange(len(first)), touching)
     above = np.repeat(lowest - np.cumsum(touching) + touching, touching) + np.arange(touching.sum())
-    return _least_labels(len(first), above, below)[run_of_pixel]
+    return least_labels(len(first), above, below)[run_of_pixel]
 
 
-def _least_labels(count: int, a: IntArray, b: IntArray) -> IntArray:
+def least_labels(count: int, a: IntArray, b: IntArray) -> IntArray:
     """Consecutive labels (count,) of the connected components of a graph with edges a-b."""
     label = np.arange(count)
     while True:
