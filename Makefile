@@ -1,0 +1,53 @@
+# Needs python3 (3.11 or later) with venv. Debian: apt install make python3-venv
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PYTEST_ARGS ?=
+
+.PHONY: help setup demo test lint check docs lock clean
+
+help:  ## Show the targets.
+	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
+
+setup: $(VENV)/dev.stamp  ## Set up .venv with the program and the tools that develop it.
+
+demo: $(VENV)/run.stamp  ## Set up and run the station on recorded frames; Ctrl-C stops it.
+	$(BIN)/inspector run --config config/demo.yaml
+
+test: setup  ## Set up and pass the tests.
+	$(BIN)/pytest -n auto $(PYTEST_ARGS)
+
+lint: setup  ## Style, types and import rules.
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+check: lint test  ## All that CI runs.
+
+lock: $(BIN)/python  ## Choose new releases of the dependencies, with their hashes.
+	$(PYTHON) -m venv build/lock && build/lock/bin/pip install --quiet uv
+	echo 'setuptools>=77' | build/lock/bin/$(COMPILE) -o requirements.txt pyproject.toml -
+	echo 'setuptools>=77' | build/lock/bin/$(COMPILE) -o requirements-dev.txt -c requirements.txt --group dev pyproject.toml -
+COMPILE = uv pip compile --quiet --upgrade --universal --python-version 3.11 --generate-hashes \
+	--no-header --no-annotate --no-emit-index-url --no-emit-find-links
+
+clean:  ## Remove what the other targets made.
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+	  echo "$(PYTHON) is missing, older than 3.11, or has no venv: apt install python3-venv (or: make PYTHON=...)" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+# The package itself is installed in place and without its dependencies: those come from the hashed list alone.
+INSTALL = $(BIN)/pip install --quiet --disable-pip-version-check
+
+$(VENV)/run.stamp: requirements.txt pyproject.toml | $(BIN)/python
+	$(INSTALL) --require-hashes -r requirements.txt
+	$(INSTALL) --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(VENV)/dev.stamp: requirements-dev.txt $(VENV)/run.stamp
+	$(INSTALL) --require-hashes -r requirements-dev.txt
+	@touch $@
