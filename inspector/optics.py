@@ -7,12 +7,24 @@ coefficient that acts from the *distorted* to the undistorted sensor plane, then
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from inspector.model import FloatArray
+
+PARAMETERS = (
+    "rotation_x_rad",
+    "rotation_y_rad",
+    "rotation_z_rad",
+    "translation_x_mm",
+    "translation_y_mm",
+    "translation_z_mm",
+    "f_mm",
+    "kappa1_per_mm2",
+)
+"""What a fit adjusts in a camera, in the order of :meth:`Camera.perturbed`; a covariance is of these."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +46,7 @@ class Camera:
     @cached_property
     def centre_mm(self) -> FloatArray:
         """The centre of projection in the world, (3,) mm: C = -R^T T, by solving, since a file's R is rounded."""
-        return -np.linalg.solve(self.rotation, self.translation_mm)
+        return np.asarray(-np.linalg.solve(self.rotation, self.translation_mm))
 
     def project(self, points_mm: FloatArray) -> FloatArray:
         """Pixels (n, 2) of world points (n, 3) mm. NaN behind the camera or beyond the distortion's reach."""
@@ -54,7 +66,7 @@ class Camera:
     def undistort(self, distorted_mm: FloatArray) -> FloatArray:
         """Undistorted sensor coordinates: Xu = Xd (1 + kappa1 r_d^2)."""
         r2 = np.sum(distorted_mm**2, axis=1, keepdims=True)
-        return distorted_mm * (1 + self.kappa1_per_mm2 * r2)
+        return np.asarray(distorted_mm * (1 + self.kappa1_per_mm2 * r2))
 
     def distort(self, undistorted_mm: FloatArray) -> FloatArray:
         """The inverse of :meth:`undistort`: Newton on r_d (1 + kappa1 r_d^2) = r_u. NaN where there is none."""
@@ -87,6 +99,34 @@ class Camera:
             along = np.where(along > 0, along, np.nan)
         return self.centre_mm[:2] + along[:, None] * ray[:, :2]
 
+    @property
+    def view_angle_deg(self) -> float:
+        """The angle between the optical axis and the panel's normal, degrees: 0 looks straight down."""
+        return float(np.degrees(np.arccos(np.clip(-self.rotation[2, 2], -1.0, 1.0))))
+
+    def perturbed(self, by: FloatArray) -> Camera:
+        """This camera with ``by`` (8,) added to its :data:`PARAMETERS`.
+
+        The rotation's three are a rotation vector w (radians, about the camera's own axes) that is zero at this
+        camera: R' = exp([w]x) R, and T' = T + dT, not turned.
+        """
+        return replace(
+            self,
+            rotation=_rotation(by[:3]) @ self.rotation,
+            translation_mm=self.translation_mm + by[3:6],
+            f_mm=self.f_mm + float(by[6]),
+            kappa1_per_mm2=self.kappa1_per_mm2 + float(by[7]),
+        )
+
+
+def _rotation(vector_rad: FloatArray) -> FloatArray:
+    """exp([w]x), (3, 3), of a rotation vector (3,) (Rodrigues' formula, exact down to zero)."""
+    x, y, z = vector_rad
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = float(np.linalg.norm(vector_rad))
+    half = np.sinc(angle / (2 * np.pi))
+    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half * half * (cross @ cross))
+
 
 @dataclass(frozen=True)
 class Light:
@@ -102,7 +142,7 @@ class Light:
             assert self.direction is not None
             return np.broadcast_to(self.direction, points_mm.shape)
         away = self.position_mm - points_mm
-        return away / np.linalg.norm(away, axis=1, keepdims=True)
+        return np.asarray(away / np.linalg.norm(away, axis=1, keepdims=True))
 
 
 @dataclass(frozen=True)
@@ -120,7 +160,7 @@ class Calibration:
 
     ``view_angle_deg`` is the nominal beta that only the thesis' method uses; ``height_gain`` multiplies heights
     (fitted from measured samples); ``covariance`` is the camera parameters' own (p, p) with ``covariance_of`` naming
-    its p rows, None when the calibration was not fitted here.
+    its p rows, some or all of :data:`PARAMETERS`; None when the calibration was not fitted here.
     """
 
     camera: Camera

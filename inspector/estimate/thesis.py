@@ -34,7 +34,7 @@ def spacing_mm(direct_xy_mm: FloatArray, mirror_xy_mm: FloatArray) -> FloatArray
 
 def corrected_mm(first_stage_mm: FloatArray, alpha_deg: float, beta_deg: float) -> FloatArray:
     """Seed height a (n,) from the first-stage height h (n,): the spot sits below the sphere's top (4.5)."""
-    return first_stage_mm / (0.5 * (1 + np.cos(np.radians((beta_deg - alpha_deg) / 2))))
+    return np.asarray(first_stage_mm / (0.5 * (1 + np.cos(np.radians((beta_deg - alpha_deg) / 2)))))
 
 
 def chain(direct_xy_mm: FloatArray, mirror_xy_mm: FloatArray, alpha_deg: float, beta_deg: float) -> ThesisHeights:
