@@ -33,8 +33,11 @@ PATTERN_SHARE = 0.006
 """Photo-response non-uniformity as a share of the signal (EMVA 1288 data sheets: 0.3 to 1 %)."""
 SYSTEMATIC_PX = 0.006
 """What a perfect fit still misses: the profile is not quite a Gaussian (found on rendered spots)."""
-BLOOM_SIGMA_PX = 0.03
-"""Standard deviation of a bloomed spot's charge centroid (found on rendered spots)."""
+BLOOM_SIGMA_PX, MERGED_BLOOM_SIGMA_PX = 0.03, 0.1
+"""Standard deviation of a bloomed spot's charge centroid, and of a fit to the flanks of one that touches another
+(found on rendered spots)."""
+CHARGE_SHARE = 0.15
+"""Only pixels above this share of full scale count as charge: fainter light is halo, uneven on lit and dark ground."""
 FLUX_SIGMA, CLIPPED_FLUX_SIGMA, BLOOM_FLUX_SIGMA = 0.1, 0.25, 1.2
 """Standard deviation of log flux: fitted whole, fitted on its flanks, and summed where charge was lost."""
 HIDDEN_CHI2, HIDDEN_SIGMA, HIDDEN_GAIN = 12.0, 8.0, 0.4
@@ -133,9 +136,10 @@ def _measured(
     flux_sigma = np.where(saturated, CLIPPED_FLUX_SIGMA, FLUX_SIGMA)
     if spots.blooms:
         centroid, charge = _charge(lit, spots, start, response)
-        xy[saturated], flux[saturated] = centroid[saturated], charge[saturated]
-        covariance[saturated] = BLOOM_SIGMA_PX**2 * np.eye(2)
-        flux_sigma[saturated] = BLOOM_FLUX_SIGMA
+        alone = saturated & ((flags & Flag.MERGED) == 0)
+        xy[alone], covariance[alone] = centroid[alone], BLOOM_SIGMA_PX**2 * np.eye(2)
+        covariance[saturated & ~alone] += MERGED_BLOOM_SIGMA_PX**2 * np.eye(2)
+        flux[saturated], flux_sigma[saturated] = charge[saturated], BLOOM_FLUX_SIGMA
     return Highlights(
         xy_px=xy,
         covariance_px2=covariance,
@@ -312,7 +316,9 @@ def _charge(lit: Lit, spots: Spots, start: FloatArray, response: Response) -> tu
     distance = np.abs(at[:, None] - spots.centre_px).sum(axis=2)
     distance[lit.component[:, None] != spots.component] = np.inf
     owner = distance.argmin(axis=1)
-    weight = np.maximum(response.light(lit.grey_dn) - start[owner, fitting.BACKGROUND], 0.0)
+    ground = start[owner, fitting.BACKGROUND]
+    weight = response.light(lit.grey_dn) - ground
+    weight[weight < CHARGE_SHARE * (response.sensor.saturation_dn - ground)] = 0.0
     total = np.bincount(owner, weight, n)
     moments = np.column_stack([np.bincount(owner, weight * at[:, k], n) for k in (0, 1)])
     total = np.maximum(total, 1.0)

@@ -13,6 +13,8 @@ BLOOM_PX, BLOOM_LEAST_PX = 0.75, 2
 """Lobes longer by this much along one axis, on average, and one by so many pixels, tell of charge running over."""
 LOBE_BLUR_PX, LOBE_REACH_PX = 0.8, 2
 """Saturated plateaus are blurred by this to show their lobes; the kernel's half size."""
+PARTED_PX = 2.5
+"""Runs of one spot have one middle; two that differ by more belong to two."""
 SADDLE_SHARE = 0.965
 """Two lobes are two only where the blurred grey value between them falls below this share of the lower."""
 
@@ -85,7 +87,26 @@ def _lobes(image: Image, rows: IntArray, columns: IntArray, saturated_dn: float)
             kept.append(int(t))
     distance = np.sum((at[:, None] - at[kept]) ** 2, axis=2)
     distance[plateau[:, None] != plateau[kept]] = np.inf
-    return np.unique(distance.argmin(axis=1), return_inverse=True)[1]
+    lobe = np.unique(distance.argmin(axis=1), return_inverse=True)[1]
+    return _parted_runs(_parted_runs(lobe, rows, columns), columns, rows)
+
+
+def _parted_runs(lobe: IntArray, along: IntArray, across: IntArray) -> IntArray:
+    """Lobes (n,) parted where their runs' middles disagree: charge runs evenly both ways from one spot's centre.
+
+    ``along`` and ``across`` (n,) are the pixels' coordinates along and across the runs.
+    """
+    result, count = lobe.copy(), int(lobe.max(initial=-1)) + 1
+    for k in range(count):
+        mine = np.flatnonzero(lobe == k)
+        runs = np.unique(across[mine])
+        middle = np.array([(along[mine][across[mine] == c].min() + along[mine][across[mine] == c].max()) / 2 for c in runs])
+        length = np.array([np.ptp(along[mine][across[mine] == c]) for c in runs])
+        low, high = middle.min(), middle.max()
+        if high - low > PARTED_PX and length.max() > high - low:
+            result[mine[along[mine] > (low + high) / 2]] = count
+            count += 1
+    return result
 
 
 def _blurred(image: Image, rows: IntArray, columns: IntArray, saturated_dn: float) -> FloatArray:
