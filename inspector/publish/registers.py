@@ -1,0 +1,327 @@
+"""The register map: one table from which the server's image, the decoder, the lists and the manual's page come.
+
+Addresses are zero-based, as on the wire. The *result block* is one read of 125 registers at address 0; the *defect
+list* begins at 1000. Both are packed from one :class:`~inspector.model.Snapshot` into one :class:`Image`, which is
+swapped whole, so no reader can see half of it.
+
+Numbers come in two kinds. *Exact* ones (ids, codes, bits, the sequence) are taken modulo their range. *Measured*
+ones are divided by their scale and rounded; out of range they saturate and the status bit SATURATED_VALUE is set;
+None and NaN have an encoding of their own (:class:`WireType`), so an absent value is never a small one.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+import struct
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Generic, Literal, TypeVar
+
+from inspector.model import Defect, Snapshot, State, Verdict
+
+MAP_VERSION = 1
+"""Raised when a register's meaning or place changes; a new register in a gap does not raise it."""
+
+RESULT_ADDRESS, RESULT_WORDS = 0, 125
+LIST_ADDRESS = 1000
+BLOCK_DEFECTS = 12
+LIST_DEFECTS = 64
+DEFECT_WORDS = 5
+FIRST_BLOCK_DEFECT = RESULT_WORDS - 1 - BLOCK_DEFECTS * DEFECT_WORDS
+FIRST_LIST_DEFECT = 10
+LIST_END = FIRST_LIST_DEFECT + LIST_DEFECTS * DEFECT_WORDS
+LIST_WORDS = LIST_END + 1
+
+WordOrder = Literal["high_first", "low_first"]
+Number = float | int | None
+SourceT = TypeVar("SourceT")
+
+EXACT_UNITS = ("id", "tick", "code", "bits")
+"""Units of exact values; every other unit measures or counts."""
+
+
+@dataclass(frozen=True, slots=True)
+class WireType:
+    """How a number lies in registers: ``struct`` format, range of measured values, and what stands for no value."""
+
+    words: int
+    format: str
+    lowest: float
+    highest: float
+    nothing: float
+
+
+LARGEST_F32 = 3.4028234663852886e38
+TYPES = {
+    "u16": WireType(1, "H", 0, 0xFFFE, 0xFFFF),
+    "i16": WireType(1, "h", -0x7FFF, 0x7FFF, -0x8000),
+    "u32": WireType(2, "I", 0, 0xFFFF_FFFE, 0xFFFF_FFFF),
+    "f32": WireType(2, "f", -LARGEST_F32, LARGEST_F32, math.nan),
+}
+
+
+class Status(enum.IntFlag):
+    """The bits of the `status` register."""
+
+    READY = 1 << 0
+    RESULTS_VALID = 1 << 1
+    FAULT = 1 << 2
+    SIMULATED = 1 << 3
+    LAMP_OK = 1 << 4
+    CAMERA_OK = 1 << 5
+    SATURATED_VALUE = 1 << 6
+    DEFECTS_TRUNCATED = 1 << 7
+    LIST_TRUNCATED = 1 << 8
+
+
+STATUS_MEANINGS = {
+    Status.READY: "Inspecting, or will at once when asked to; no fault",
+    Status.RESULTS_VALID: "There is a result and its verdict is PASS or FAIL",
+    Status.FAULT: "fault_code is not 0",
+    Status.SIMULATED: "Camera, lamp or module is simulated or replays a recording: never act on a real panel",
+    Status.LAMP_OK: "The lamp reads back the level set",
+    Status.CAMERA_OK: "The camera gives frames",
+    Status.SATURATED_VALUE: "Some measured value is outside its register's range and stands at the range's end",
+    Status.DEFECTS_TRUNCATED: "More defects than the result block shows: read the defect list",
+    Status.LIST_TRUNCATED: "More defects than the defect list shows",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Publication:
+    """What register values are taken from. ``defects`` are the snapshot's, highest first."""
+
+    snapshot: Snapshot
+    now_s: float
+    heartbeat: int
+    defects: tuple[Defect, ...]
+    saturated: bool = False
+    """Some measured value of this publication does not fit its register."""
+
+
+@dataclass(frozen=True)
+class Field(Generic[SourceT]):
+    """One register or pair of registers: where in its area, how, and what it tells.
+
+    ``scale``: value = register * scale. Values in one of :data:`EXACT_UNITS` wrap, others saturate.
+    """
+
+    address: int
+    name: str
+    type: str
+    unit: str
+    meaning: str
+    value: Callable[[SourceT], Number]
+    scale: float = 1
+
+
+def _age_ms(p: Publication) -> Number:
+    at_s = p.snapshot.result_at_s
+    return None if at_s is None else max(0.0, p.now_s - at_s) * 1000
+
+
+def _largest_height_um(p: Publication) -> Number:
+    return p.defects[0].height_um if p.defects else 0.0
+
+
+def _status(p: Publication) -> Number:
+    s = p.snapshot
+    running = s.state in (State.READY, State.SINGLE_EXECUTION, State.CONTINUOUS_EXECUTION)
+    bits = {
+        Status.READY: running and not s.fault_code,
+        Status.RESULTS_VALID: s.result_at_s is not None and s.verdict is not Verdict.NOT_INSPECTED,
+        Status.FAULT: s.fault_code != 0,
+        Status.SIMULATED: s.simulated,
+        Status.LAMP_OK: s.lamp_ok,
+        Status.CAMERA_OK: s.camera_ok,
+        Status.SATURATED_VALUE: p.saturated,
+        Status.DEFECTS_TRUNCATED: len(p.defects) > BLOCK_DEFECTS,
+        Status.LIST_TRUNCATED: len(p.defects) > LIST_DEFECTS,
+    }
+    return sum(bit for bit, is_set in bits.items() if is_set)
+
+
+_F = Field[Publication]
+SEQUENCE = "Rises by one with each result; 0 before the first, and again after 65535"
+RESULT_FIELDS = (
+    _F(0, "sequence", "u16", "id", SEQUENCE, lambda p: p.snapshot.sequence),
+    _F(1, "map_version", "u16", "id", "Version of this register map", lambda p: MAP_VERSION),
+    _F(2, "heartbeat", "u16", "tick", "Rises once a second while the station serves", lambda p: p.heartbeat),
+    _F(3, "state", "u16", "code", "Station state, see States", lambda p: p.snapshot.state),
+    _F(4, "status", "u16", "bits", "See Status bits", _status),
+    _F(5, "fault_code", "u16", "code", "0 no fault, see Fault codes", lambda p: p.snapshot.fault_code),
+    _F(6, "verdict", "u16", "code", "0 NOT_INSPECTED, 1 PASS, 2 FAIL", lambda p: p.snapshot.verdict),
+    _F(7, "reasons", "u16", "bits", "Why, bits 0-15, see Reason bits", lambda p: p.snapshot.reasons),
+    _F(8, "reasons_high", "u16", "bits", "Why, bits 16-31", lambda p: p.snapshot.reasons >> 16),
+    _F(9, "defect_count", "u16", "count", "Defects found", lambda p: len(p.defects)),
+    _F(10, "unpaired_count", "u16", "count", "Highlights left without a partner", lambda p: p.snapshot.unpaired_count),
+    _F(11, "largest_height_um", "u16", "um", "Height of the highest defect; 0 if there is none", _largest_height_um),
+    _F(12, "largest_height_um_f32", "f32", "um", "The same, not rounded", _largest_height_um),
+    _F(14, "acquisition_id", "u32", "id", "The camera's frame number", lambda p: p.snapshot.acquisition_id),
+    _F(16, "panel_id", "u32", "id", "The panel's number", lambda p: p.snapshot.panel_id),
+    _F(18, "recipe_id", "u16", "id", "Recipe in use", lambda p: p.snapshot.recipe_id),
+    _F(20, "result_age_ms", "u32", "ms", "Time since the result was published", _age_ms),
+    _F(22, "elapsed_us", "u32", "us", "Time the inspection of the frame took", lambda p: p.snapshot.elapsed_us),
+    _F(24, "cycle_us", "u32", "us", "Time the whole cycle took, from lamp to result", lambda p: p.snapshot.cycle_us),
+    _F(26, "panels_passed", "u32", "count", "Results PASS since start", lambda p: p.snapshot.panels_passed),
+    _F(28, "panels_failed", "u32", "count", "Results FAIL since start", lambda p: p.snapshot.panels_failed),
+    _F(30, "panels_not_inspected", "u32", "count", "Results NOT_INSPECTED", lambda p: p.snapshot.panels_not_inspected),
+    _F(32, "missed_triggers", "u32", "count", "Triggers that came too early", lambda p: p.snapshot.missed_triggers),
+    _F(34, "overruns", "u32", "count", "Results lost because nobody took them", lambda p: p.snapshot.overruns),
+    _F(36, "lamp_set_mv", "u16", "mV", "Lamp level set", lambda p: p.snapshot.lamp_set_v * 1000),
+    _F(37, "lamp_read_mv", "u16", "mV", "Lamp level read back", lambda p: p.snapshot.lamp_read_v * 1000),
+    _F(38, "exposure_us", "u32", "us", "Exposure the frame was taken at", lambda p: p.snapshot.exposure_us),
+    _F(40, "configuration_hash", "u32", "id", "Changes when any setting does", lambda p: p.snapshot.configuration_hash),
+    _F(42, "sequence_u32", "u32", "id", "The sequence in 32 bits", lambda p: p.snapshot.sequence),
+    _F(124, "sequence_end", "u16", "id", "Equals sequence; compare if read in pieces", lambda p: p.snapshot.sequence),
+)  # fmt: skip
+
+LIST_FIELDS = (
+    _F(0, "list_sequence", "u16", "id", "Sequence of the result listed", lambda p: p.snapshot.sequence),
+    _F(1, "list_defect_count", "u16", "count", "Defects listed", lambda p: min(len(p.defects), LIST_DEFECTS)),
+    _F(LIST_END, "list_sequence_end", "u16", "id", "Equals list_sequence, or reread", lambda p: p.snapshot.sequence),
+)  # fmt: skip
+
+_D = Field[Defect]
+DEFECT_FIELDS = (
+    _D(0, "x_mm", "i16", "mm", "x on the panel", lambda d: d.x_mm, scale=0.01),
+    _D(1, "y_mm", "i16", "mm", "y on the panel", lambda d: d.y_mm, scale=0.01),
+    _D(2, "height_um", "u16", "um", "height; 65535 not measured", lambda d: d.height_um),
+    _D(3, "height_sigma_um", "u16", "um", "standard uncertainty; 65535 unknown", lambda d: d.height_sigma_um),
+    _D(4, "flags", "u16", "bits", "see Defect flags", lambda d: d.flags),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """A row of the map as the integrator reads it; ``address`` is the wire's."""
+
+    name: str
+    address: int
+    type: str
+    words: int
+    scale: float
+    unit: str
+    access: str
+    meaning: str
+
+
+def _row(field: Field[SourceT], offset: int, name: str, meaning: str) -> Register:
+    words = TYPES[field.type].words
+    return Register(name, offset + field.address, field.type, words, field.scale, field.unit, "R", meaning)
+
+
+def _area_rows(
+    offset: int, fields: Iterable[Field[Publication]], prefix: str, first: int, count: int
+) -> list[Register]:
+    rows = [_row(field, offset, field.name, field.meaning) for field in fields]
+    for slot in range(count):
+        at = offset + first + slot * DEFECT_WORDS
+        rows += [_row(f, at, f"{prefix}_{slot + 1}_{f.name}", f"Defect {slot + 1}: {f.meaning}") for f in DEFECT_FIELDS]
+    return sorted(rows, key=lambda row: row.address)
+
+
+RESULT_REGISTERS = tuple(_area_rows(RESULT_ADDRESS, RESULT_FIELDS, "defect", FIRST_BLOCK_DEFECT, BLOCK_DEFECTS))
+LIST_REGISTERS = tuple(_area_rows(LIST_ADDRESS, LIST_FIELDS, "list_defect", FIRST_LIST_DEFECT, LIST_DEFECTS))
+REGISTERS = RESULT_REGISTERS + LIST_REGISTERS
+"""Every register there is, by address. Words between them inside an area are reserved and read 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class Image:
+    """All areas of one publication: first address and bytes, big-endian registers."""
+
+    areas: tuple[tuple[int, bytes], ...]
+
+
+class _Layout(Generic[SourceT]):
+    """Packs fields into an area of ``words`` registers in one step; gaps are zero."""
+
+    def __init__(self, fields: Sequence[Field[SourceT]], words: int) -> None:
+        self._fields = fields
+        parts, position = [">"], 0
+        for field in fields:
+            wire = TYPES[field.type]
+            parts += [f"{2 * (field.address - position)}x", wire.format]
+            position = field.address + wire.words
+        self._struct = struct.Struct("".join([*parts, f"{2 * (words - position)}x"]))
+        self._doubles = [2 * f.address for f in fields if TYPES[f.type].words == 2]
+
+    def pack(self, source: SourceT, order: WordOrder, overflow: list[str], filling: bytes = b"", at: int = 0) -> bytes:
+        """The area's bytes, with ``filling`` laid in at word ``at``; names of saturated fields go to ``overflow``."""
+        numbers = [_wire_number(field, source, overflow) for field in self._fields]
+        area = bytearray(self._struct.pack(*numbers))
+        area[2 * at : 2 * at + len(filling)] = filling
+        if order == "low_first":
+            for byte in self._doubles:
+                area[byte : byte + 4] = area[byte + 2 : byte + 4] + area[byte : byte + 2]
+        return bytes(area)
+
+
+def _wire_number(field: Field[SourceT], source: SourceT, overflow: list[str]) -> float | int:
+    """The number as it is packed: wrapped if exact, else scaled, rounded and saturated."""
+    value, wire = field.value(source), TYPES[field.type]
+    if field.unit in EXACT_UNITS:
+        return int(value or 0) % (1 << 16 * wire.words)
+    if value is None or math.isnan(value):
+        return wire.nothing
+    scaled = value / field.scale
+    if not wire.lowest - 0.5 <= scaled < wire.highest + 0.5:
+        overflow.append(field.name)
+    within = min(max(scaled, wire.lowest), wire.highest)
+    return within if field.type == "f32" else round(within)
+
+
+_RESULT_LAYOUT = _Layout(RESULT_FIELDS, RESULT_WORDS)
+_LIST_LAYOUT = _Layout(LIST_FIELDS, LIST_WORDS)
+_DEFECT_LAYOUT = _Layout(DEFECT_FIELDS, DEFECT_WORDS)
+
+
+def _rank(defect: Defect) -> float:
+    """Highest first; a seed without a height might be the highest."""
+    return -math.inf if math.isnan(defect.height_um) else -defect.height_um
+
+
+def encode_image(snapshot: Snapshot, now_s: float, heartbeat: int, word_order: WordOrder = "high_first") -> Image:
+    """All areas of one snapshot. ``now_s`` is monotonic time, as ``snapshot.result_at_s``; never raises on values."""
+    defects = tuple(sorted(snapshot.defects, key=_rank))
+    source = Publication(snapshot, now_s, heartbeat, defects)
+    overflow: list[str] = []
+    rows = [_DEFECT_LAYOUT.pack(defect, word_order, overflow) for defect in defects[:LIST_DEFECTS]]
+    listed = _LIST_LAYOUT.pack(source, word_order, overflow, b"".join(rows), FIRST_LIST_DEFECT)
+    largest = b"".join(rows[:BLOCK_DEFECTS])
+    block = _RESULT_LAYOUT.pack(source, word_order, overflow, largest, FIRST_BLOCK_DEFECT)
+    if overflow:
+        source = replace(source, saturated=True)
+        block = _RESULT_LAYOUT.pack(source, word_order, overflow, largest, FIRST_BLOCK_DEFECT)
+    return Image(((RESULT_ADDRESS, block), (LIST_ADDRESS, listed)))
+
+
+def encode(snapshot: Snapshot, now_s: float, heartbeat: int, word_order: WordOrder = "high_first") -> bytes:
+    """The result block alone: 250 bytes, big-endian registers."""
+    return encode_image(snapshot, now_s, heartbeat, word_order).areas[0][1]
+
+
+def decode(
+    words: Sequence[int], address: int = RESULT_ADDRESS, word_order: WordOrder = "high_first"
+) -> dict[str, Number]:
+    """Values by name of the registers that lie whole within ``words``, which were read at ``address``.
+
+    In the units of the table; None where the register says there is no value.
+    """
+    end = address + len(words)
+    return {
+        row.name: _value(row, words[row.address - address :][: row.words], word_order)
+        for row in REGISTERS
+        if address <= row.address and row.address + row.words <= end
+    }
+
+
+def _value(row: Register, words: Sequence[int], order: WordOrder) -> Number:
+    wire = TYPES[row.type]
+    ordered = words if order == "high_first" else words[::-1]
+    number = struct.unpack(">" + wire.format, struct.pack(f">{row.words}H", *ordered))[0]
+    if row.unit not in EXACT_UNITS and (number == wire.nothing or math.isnan(number)):
+        return None
+    return number if row.scale == 1 else float(number * row.scale)
