@@ -1,0 +1,165 @@
+"""Defects and limits -> verdict with its reasons. Pure, and fail-safe: what is not known to be good is not a PASS.
+
+Every rule is monotone: one more defect, a higher defect or a lower limit never turns a FAIL into a PASS.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+from inspector.model import Defect, Flag, Reason, Unpaired, Verdict
+from inspector.recipe import Limits, Zone
+
+SURELY_A_SEED = Flag.MERGED | Flag.PARTNER_HIDDEN | Flag.PARTNER_OUTSIDE_FRAME
+"""An unpaired highlight with one of these is a seed whose height cannot be told."""
+NO_SEED = Flag.PAINT_POOL | Flag.HOT_PIXEL
+"""An unpaired highlight with one of these is no seed, whatever else it is: it touches one, or is the sensor's."""
+EXPLAINED = SURELY_A_SEED | NO_SEED | Flag.DUST
+"""Any other unpaired highlight is unexplained."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One sentence about a frame, its bit, and whether it fails the panel."""
+
+    reason: Reason
+    fails: bool
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """The defects that one set of limits holds for: the panel's, or a zone's."""
+
+    where: str
+    defects: Sequence[Defect]
+    max_height_um: float | None
+    max_count: int | None
+    height_reason: Reason
+    count_reason: Reason
+
+
+def judge(
+    defects: Sequence[Defect], unpaired: Sequence[Unpaired], limits: Limits, area_m2: float
+) -> tuple[Verdict, Reason, tuple[str, ...]]:
+    """PASS or FAIL, the reasons as bits and as one sentence each.
+
+    ``area_m2`` is the inspected area; 0 or NaN where it is unknown, and any defect is then too dense. A PASS may have
+    reasons too: what the limits say to report only. A defect whose height, sigma or place is not finite FAILs.
+    """
+    judged = [d for d in defects if _is_judged(d, limits)]
+    measured = [d for d in judged if _is_known(d)]
+    findings = [*_unknown(len(judged) - len(measured)), *_density(len(judged), limits, area_m2)]
+    for scope in _scopes(judged, limits):
+        findings += [*_heights(scope, limits), *_count(scope)]
+    findings += [*_unmeasured(unpaired, limits), *_unexplained(unpaired, limits)]
+    verdict = Verdict.FAIL if any(f.fails for f in findings) else Verdict.PASS
+    reasons = Reason(0)
+    for finding in findings:
+        reasons |= finding.reason
+    return verdict, reasons, tuple(f.text for f in findings)
+
+
+def _is_judged(defect: Defect, limits: Limits) -> bool:
+    """False in an ignored zone, and where the height is surely below the least that counts."""
+    if any(zone.ignore and _is_in(defect, zone) for zone in limits.zones):
+        return False
+    return not (_is_known(defect) and defect.height_um + _guard_um(defect, limits) < limits.min_height_um)
+
+
+def _is_in(defect: Defect, zone: Zone) -> bool:
+    return zone.x_min_mm <= defect.x_mm <= zone.x_max_mm and zone.y_min_mm <= defect.y_mm <= zone.y_max_mm
+
+
+def _is_known(defect: Defect) -> bool:
+    """Whether height, uncertainty and place are numbers at all."""
+    sigma_um = defect.height_sigma_um or 0.0
+    return sigma_um >= 0 and all(map(math.isfinite, (defect.height_um, sigma_um, defect.x_mm, defect.y_mm)))
+
+
+def _guard_um(defect: Defect, limits: Limits) -> float:
+    """Half width of the guard band about a limit, um; 0 where the method knows no uncertainty."""
+    return limits.guard_band_sigma * (defect.height_sigma_um or 0.0)
+
+
+def _scopes(judged: Sequence[Defect], limits: Limits) -> Iterator[Scope]:
+    yield Scope("on the panel", judged, limits.max_height_um, limits.max_count, Reason.HEIGHT_LIMIT, Reason.COUNT_LIMIT)
+    for zone in limits.zones:
+        if not zone.ignore:
+            inside = [d for d in judged if _is_in(d, zone)]
+            where = f"in zone {zone.name}"
+            yield Scope(where, inside, zone.max_height_um, zone.max_count, Reason.ZONE_LIMIT, Reason.ZONE_LIMIT)
+
+
+def _unknown(count: int) -> Iterator[Finding]:
+    if count:
+        yield Finding(Reason.UNMEASURED_SEED, True, f"{_seeds(count)} without a finite height or place")
+
+
+def _heights(scope: Scope, limits: Limits) -> Iterator[Finding]:
+    """What is surely over the limit, and what lies within its own uncertainty of it."""
+    limit_um = scope.max_height_um
+    if limit_um is None:
+        return
+    known = [d for d in scope.defects if _is_known(d)]
+    over = [d for d in known if d.height_um - _guard_um(d, limits) > limit_um]
+    near = [d for d in known if d.height_um - _guard_um(d, limits) <= limit_um < d.height_um + _guard_um(d, limits)]
+    if over:
+        yield Finding(
+            scope.height_reason,
+            True,
+            f"{_seeds(len(over))} higher than {limit_um:g} um {scope.where}, {_highest(over)}",
+        )
+    if near:
+        fails = limits.guard_band == "fail"
+        yield Finding(
+            Reason.HEIGHT_WITHIN_GUARD_BAND,
+            fails,
+            f"{_seeds(len(near))} within {limits.guard_band_sigma:g} sigma of {limit_um:g} um {scope.where}, "
+            f"{_highest(near)}: the guard band decides {'FAIL' if fails else 'PASS'}",
+        )
+
+
+def _count(scope: Scope) -> Iterator[Finding]:
+    count = len(scope.defects)
+    if scope.max_count is not None and count > scope.max_count:
+        yield Finding(scope.count_reason, True, f"{_seeds(count)} {scope.where}, more than {scope.max_count}")
+
+
+def _density(count: int, limits: Limits, area_m2: float) -> Iterator[Finding]:
+    if limits.max_per_m2 is None or count == 0:
+        return
+    if not area_m2 > 0:
+        yield Finding(Reason.DENSITY_LIMIT, True, f"{_seeds(count)} on a panel whose area in view is unknown")
+    elif count / area_m2 > limits.max_per_m2:
+        text = f"{count / area_m2:.1f} seeds per square metre, more than {limits.max_per_m2:g}"
+        yield Finding(Reason.DENSITY_LIMIT, True, text)
+
+
+def _unmeasured(unpaired: Iterable[Unpaired], limits: Limits) -> Iterator[Finding]:
+    seeds = [u for u in unpaired if u.flags & SURELY_A_SEED and not u.flags & NO_SEED]
+    if seeds:
+        why = Flag(0)
+        for seed in seeds:
+            why |= seed.flags & SURELY_A_SEED
+        text = f"{_seeds(len(seeds))} without a measurable height ({', '.join(why.names())})"
+        yield Finding(Reason.UNMEASURED_SEED, limits.unmeasured_seed == "fail", text)
+
+
+def _unexplained(unpaired: Iterable[Unpaired], limits: Limits) -> Iterator[Finding]:
+    count = sum(1 for u in unpaired if not u.flags & EXPLAINED)
+    if limits.max_unpaired is not None and count > limits.max_unpaired:
+        text = f"{count} unexplained highlights without a partner, more than {limits.max_unpaired}"
+        yield Finding(Reason.UNPAIRED_LIMIT, True, text)
+
+
+def _seeds(count: int) -> str:
+    return f"{count} seed{'' if count == 1 else 's'}"
+
+
+def _highest(defects: Sequence[Defect]) -> str:
+    top = max(defects, key=lambda d: d.height_um)
+    sigma = "" if top.height_sigma_um is None else f" +/- {top.height_sigma_um:.0f}"
+    return f"the highest {top.height_um:.0f}{sigma} um at x {top.x_mm:.1f}, y {top.y_mm:.1f} mm"
