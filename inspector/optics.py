@@ -170,3 +170,10 @@ class Calibration:
     height_gain: float = 1.0
     covariance: FloatArray | None = None
     covariance_of: tuple[str, ...] = ()
+
+    @cached_property
+    def lamp_angle_deg(self) -> float:
+        """The nominal alpha: the lamp's direction from the panel's normal, degrees, where the optical axis meets it."""
+        axis_px = np.array([[self.camera.cx_px, self.camera.cy_px]])
+        foot = np.append(self.camera.back_project(axis_px)[0], 0.0)
+        return float(np.degrees(np.arccos(self.light.toward(foot[None])[0, 2])))

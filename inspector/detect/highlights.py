@@ -148,6 +148,7 @@ def _measured(
         peak_dn=fitted.peak_dn,
         area_px=np.rint(area).astype(np.intp),
         flags=flags,
+        binary_px=_binary_centroids(lit)[spots.component],
         threshold_dn=lit.threshold_dn,
         background_dn=ground.level_dn,
         noise_dn=ground.noise_dn,
@@ -325,10 +326,16 @@ def _charge(lit: Lit, spots: Spots, start: FloatArray, response: Response) -> tu
     return np.where(total[:, None] > 1, moments / total[:, None], spots.centre_px), total
 
 
+def _binary_centroids(lit: Lit) -> FloatArray:
+    """Centroids (components, 2) of lit pixels, all of one weight."""
+    size = np.bincount(lit.component, minlength=lit.count)
+    return np.column_stack([np.bincount(lit.component, v, lit.count) / size for v in (lit.columns, lit.rows)])
+
+
 def none(threshold_dn: float, ground: Background) -> Highlights:
     """A frame without highlights."""
     empty = np.empty(0)
     return Highlights(
         np.empty((0, 2)), np.empty((0, 2, 2)), empty, empty, empty, empty.astype(np.intp), empty.astype(np.intp),
-        threshold_dn, ground.level_dn, ground.noise_dn,
+        np.empty((0, 2)), threshold_dn, ground.level_dn, ground.noise_dn,
     )

@@ -352,7 +352,7 @@ def _least_squares_covariance(points: Points, camera: Camera) -> FloatArray:
     ]
     jacobian = np.array(moved).T / 2e-6  # by parameters in units of their scales, so that the inverse is well posed
     covariance = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
-    return np.asarray(covariance * np.outer(scales, scales))
+    return np.asarray((covariance + covariance.T) / 2 * np.outer(scales, scales))
 
 
 def _propagated(points: Points, sensor: SensorConstants, camera: Camera) -> FloatArray:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from inspector import reflection
+from inspector.estimate.thesis import thesis_height_mm
 from inspector.model import Defect, Flag, FloatArray, HighlightPairs, Highlights, Unpaired
 from inspector.optics import Calibration
 
@@ -65,7 +65,22 @@ def _pixel(xy: FloatArray) -> tuple[float, float]:
 
 
 def _thesis(spots: Highlights, pairs: HighlightPairs, calibration: Calibration) -> list[Defect]:
-    """The thesis' chain on the spots carried back to the panel; it knows no uncertainty."""
-    from inspector.estimate.thesis import seed_heights_mm
+    """The thesis' chain on binary centroids carried back to the panel; it knows no uncertainty.
 
-    return []
+    The position is that of the direct spot on z = 0. Two spots in one component have one centroid: height 0, MERGED.
+    """
+    direct_px, mirror_px = spots.binary_px[pairs.direct], spots.binary_px[pairs.mirror]
+    direct_mm, mirror_mm = (calibration.camera.back_project(p) for p in (direct_px, mirror_px))
+    height_mm = thesis_height_mm(direct_mm, mirror_mm, calibration.lamp_angle_deg, calibration.view_angle_deg)
+    return [
+        Defect(
+            x_mm=float(direct_mm[n, 0]),
+            y_mm=float(direct_mm[n, 1]),
+            height_um=float(height_mm[n] * calibration.height_gain * UM_PER_MM),
+            height_sigma_um=None,
+            direct_px=_pixel(direct_px[n]),
+            mirror_px=_pixel(mirror_px[n]),
+            flags=Flag(int(pairs.flags[n])),
+        )
+        for n in range(len(pairs.direct))
+    ]
