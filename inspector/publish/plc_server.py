@@ -16,11 +16,11 @@ import threading
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from importlib.metadata import version
 from ipaddress import IPv6Address, ip_address, ip_network
 
 from firmware_bridge.wire.modbus import IllegalAddress, Slave, Table
 from firmware_bridge.wire.modbus_frames import TcpSession
-from inspector import __version__
 from inspector.faults import Fault
 from inspector.model import Reason, Snapshot, State, Verdict
 from inspector.publish.registers import Image, WordOrder, encode_image
@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 LOOPBACK = ("127.0.0.0/8", "::1/128")
 ANY_USUAL_UNIT = (0, 1, 255)
 """What clients put in the unit id of a device that is reached directly over TCP."""
-IDENTITY = {0: "seed-inspector", 1: "seed-inspector", 2: __version__}
+PRODUCT = "seed-inspector"
 
 REFRESH_S = 0.25
 """How often age and heartbeat are brought up to date, and connections looked over."""
@@ -75,7 +75,7 @@ class PlcServer:
         self._stalled = False
         self._lock = threading.Lock()
         self._registers = _ServedRegisters()
-        self.slave = Slave(dict.fromkeys(unit_ids, self._registers), IDENTITY)
+        self.slave = Slave(dict.fromkeys(unit_ids, self._registers), _identity())
         self.connections: set[_Connection] = set()
         self._strangers: set[str] = set()
         self._thread: threading.Thread | None = None
@@ -275,6 +275,11 @@ def _remedy(error: OSError, port: int) -> str:
     if error.errno == errno.EACCES:
         return "set a port of 1024 or above, or grant the service CAP_NET_BIND_SERVICE"
     return "set host to an address of this machine, or 0.0.0.0 for all of them"
+
+
+def _identity() -> dict[int, str]:
+    """What function 43/14 tells: vendor, product code, revision."""
+    return {0: PRODUCT, 1: PRODUCT, 2: version(PRODUCT)}
 
 
 async def _wait(event: asyncio.Event, timeout_s: float) -> None:
