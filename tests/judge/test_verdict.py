@@ -112,6 +112,13 @@ def test_the_sentence_names_the_limit_the_height_and_the_place() -> None:
     assert text == "2 seeds higher than 500 um on the panel, the highest 732 +/- 8 um at x 12.3, y 45.6 mm"
 
 
+@pytest.mark.parametrize("nonsense", [math.nan, math.inf, -math.inf])
+def test_a_height_or_sigma_that_is_no_number_is_not_a_pass(nonsense: float) -> None:
+    nothing_applies = {"max_height_um": None, "min_height_um": 100.0, "unmeasured_seed": "report"}
+    assert verdict_of(seed(nonsense), **nothing_applies) == (Verdict.FAIL, Reason.UNMEASURED_SEED)
+    assert verdict_of(seed(1, nonsense), **nothing_applies) == (Verdict.FAIL, Reason.UNMEASURED_SEED)
+
+
 NUMBER = st.floats(0, 2000)
 SIGMA = st.none() | st.floats(0, 300)
 PLACE = st.floats(-20, 20)
