@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 from pydantic import ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError, field_validator, model_validator
 
-from inspector import optics, strict_yaml
+from inspector import optics, yaml_document
 from inspector.model import FloatArray
 from inspector.recipe import Strict
 
@@ -261,17 +261,12 @@ def lamp_direction(camera: optics.Camera, alpha_deg: float, azimuth_deg: float |
 
 def load(path: Path) -> CalibrationFile:
     """The file as written, residuals and all. Raises CalibrationError with every problem at once."""
-    try:
-        document = strict_yaml.load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
-    except (yaml.YAMLError, ValueError) as error:
-        raise CalibrationError(f"{path}: not YAML: {error}") from error
-    try:
-        return CalibrationFile.model_validate(document)
-    except ValidationError as error:
-        lines = strict_yaml.problems(error, CalibrationFile)
-        raise CalibrationError("\n".join([f"{path}: not a calibration, version 1:", *lines])) from error
+    document = yaml_document.read(path)
+    entry, problems = yaml_document.validate(document, CalibrationFile)
+    if entry is None or problems:
+        lines = "\n".join(map(str, problems))
+        raise CalibrationError(f"{path} is not a calibration file, version 1:\n{lines}")
+    return entry
 
 
 def read(path: Path) -> optics.Calibration:
@@ -287,7 +282,7 @@ def write(path: Path, calibration: optics.Calibration, residuals: Residuals | No
     try:
         entry = CalibrationFile.model_validate(_document(calibration) | {"residuals": residuals})
     except ValidationError as error:
-        raise CalibrationError("\n".join(strict_yaml.problems(error, CalibrationFile))) from error
+        raise CalibrationError(f"no calibration to write: {error}") from error
     text = yaml.safe_dump(
         entry.model_dump(mode="json", exclude_none=True), sort_keys=False, default_flow_style=None, width=120
     )

@@ -115,7 +115,7 @@ def _bright(image: Image) -> Mask:
         raise BoardRefused(
             "no bright squares on black: the image is evenly dark, bright or grey; light the board alone"
         )
-    return mask.astype(np.uint8)
+    return np.asarray(mask, np.uint8)
 
 
 def _quads(mask: Mask) -> tuple[list[_Quad], list[Rejected]]:
