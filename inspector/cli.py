@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +17,25 @@ app = typer.Typer(
 config_app = typer.Typer(help="Check, show and document settings.", no_args_is_help=True)
 app.add_typer(config_app, name="config")
 
+
+class RegisterFormat(enum.StrEnum):
+    """Forms of the register map."""
+
+    TABLE = "table"
+    CSV = "csv"
+    JSON = "json"
+    MARKDOWN = "markdown"
+
+
 ConfigFile = Annotated[Path, typer.Argument(help="Settings file, YAML.")]
+
+
+@app.command()
+def registers(format: Annotated[RegisterFormat, typer.Option(help="How to print it.")] = RegisterFormat.TABLE) -> None:
+    """Print the register map that the PLC reads."""
+    from inspector.publish.registers_page import FORMATS
+
+    typer.echo(FORMATS[format.value](), nl=False)
 
 
 def main() -> None:

@@ -167,7 +167,7 @@ RESULT_FIELDS = (
     _F(26, "panels_passed", "u32", "count", "Results PASS since start", lambda p: p.snapshot.panels_passed),
     _F(28, "panels_failed", "u32", "count", "Results FAIL since start", lambda p: p.snapshot.panels_failed),
     _F(30, "panels_not_inspected", "u32", "count", "Results NOT_INSPECTED", lambda p: p.snapshot.panels_not_inspected),
-    _F(32, "missed_triggers", "u32", "count", "Triggers that came too early", lambda p: p.snapshot.missed_triggers),
+    _F(32, "missed_triggers", "u32", "count", "Triggers while not ready", lambda p: p.snapshot.missed_triggers),
     _F(34, "overruns", "u32", "count", "Results lost because nobody took them", lambda p: p.snapshot.overruns),
     _F(36, "lamp_set_mv", "u16", "mV", "Lamp level set", lambda p: p.snapshot.lamp_set_v * 1000),
     _F(37, "lamp_read_mv", "u16", "mV", "Lamp level read back", lambda p: p.snapshot.lamp_read_v * 1000),

@@ -1,0 +1,214 @@
+"""The register map for people and tools: rows as text table, CSV, JSON, and the integrator's page in Markdown."""
+
+from __future__ import annotations
+
+import csv
+import enum
+import io
+import json
+from collections.abc import Iterable, Sequence
+
+from inspector.faults import Fault
+from inspector.model import Defect, Flag, Reason, Snapshot, State, Verdict
+from inspector.publish import registers
+from inspector.publish.registers import LIST_REGISTERS, REGISTERS, RESULT_REGISTERS, STATUS_MEANINGS, Register, Status
+
+COLUMNS = ("name", "address", "type", "words", "scale", "unit", "access", "meaning")
+
+STATE_MEANINGS = {
+    State.PREOPERATIONAL: "Starting: settings, devices or calibration are not ready",
+    State.INITIALIZED: "Set up, devices not yet proven",
+    State.READY: "Waiting for a trigger or a panel",
+    State.SINGLE_EXECUTION: "Inspecting one panel",
+    State.CONTINUOUS_EXECUTION: "Inspecting at its own pace",
+    State.HALTED: "Stopped on purpose; nothing is inspected",
+    State.ERROR: "See fault_code; recovers by itself when the cause is gone",
+}
+
+EXCEPTIONS = (
+    (1, "Unknown function"),
+    (2, "Some address is outside every area, or is not writable"),
+    (3, "Count or value not allowed (a read takes 1 to 125 registers)"),
+    (11, "Unit id not served here (0, 1 and 255 are, unless configured)"),
+)
+
+EXAMPLE = Snapshot(
+    state=State.CONTINUOUS_EXECUTION,
+    sequence=42,
+    verdict=Verdict.FAIL,
+    reasons=Reason.HEIGHT_LIMIT,
+    defects=(Defect(12.34, -5.6, 1827.6, 9.0, (0.0, 0.0), (0.0, 0.0)),),
+    result_at_s=0.0,
+    lamp_ok=True,
+    camera_ok=True,
+)
+
+
+def as_rows(rows: Iterable[Register] = REGISTERS) -> list[dict[str, str | int | float]]:
+    """One dict a register, with the keys of :data:`COLUMNS`."""
+    return [{column: getattr(row, column) for column in COLUMNS} for row in rows]
+
+
+def as_json() -> str:
+    """A JSON list, one object a line."""
+    return "[\n" + ",\n".join(json.dumps(row) for row in as_rows()) + "\n]\n"
+
+
+def as_csv() -> str:
+    """Comma separated, one header line."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(as_rows())
+    return text.getvalue()
+
+
+def as_table() -> str:
+    """Columns padded with spaces, for a terminal."""
+    lines = [COLUMNS, *(tuple(str(value) for value in row.values()) for row in as_rows())]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(COLUMNS))]
+    return "".join("  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)).rstrip() + "\n" for line in lines)
+
+
+def as_markdown() -> str:
+    """The integrator's page."""
+    return _PAGE.format(
+        version=registers.MAP_VERSION,
+        block_words=registers.RESULT_WORDS,
+        block_defects=registers.BLOCK_DEFECTS,
+        list_address=registers.LIST_ADDRESS,
+        list_end=registers.LIST_ADDRESS + registers.LIST_END,
+        list_defects=registers.LIST_DEFECTS,
+        first_listed=registers.LIST_ADDRESS + registers.FIRST_LIST_DEFECT,
+        defect_words=registers.DEFECT_WORDS,
+        types=_types(),
+        result=_markdown_table(COLUMNS, (tuple(row.values()) for row in as_rows(RESULT_REGISTERS))),
+        listing=_markdown_table(COLUMNS, (tuple(row.values()) for row in as_rows(_shortened_list()))),
+        verdicts=_codes(Verdict),
+        states=_markdown_table(("code", "name", "meaning"), ((s.value, s.name, STATE_MEANINGS[s]) for s in State)),
+        status=_markdown_table(("bit", "name", "meaning"), ((_bit(b), b.name, STATUS_MEANINGS[b]) for b in Status)),
+        reasons=_bits(Reason),
+        flags=_bits(Flag),
+        faults=_markdown_table(
+            ("code", "name", "meaning", "remedy"), ((f.value, f.name, f.meaning, f.remedy) for f in Fault)
+        ),
+        exceptions=_markdown_table(("code", "when"), EXCEPTIONS),
+        example=_example(),
+    )
+
+
+FORMATS = {"table": as_table, "csv": as_csv, "json": as_json, "markdown": as_markdown}
+
+
+def _shortened_list() -> list[Register]:
+    """The defect list's registers with the first defect alone: the others follow from it."""
+    second = registers.LIST_ADDRESS + registers.FIRST_LIST_DEFECT + registers.DEFECT_WORDS
+    end = registers.LIST_ADDRESS + registers.LIST_END
+    return [row for row in LIST_REGISTERS if row.address < second or row.address == end]
+
+
+def _markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
+
+
+def _bit(flag: enum.IntFlag) -> int:
+    return int(flag).bit_length() - 1
+
+
+def _bits(kind: type[enum.IntFlag]) -> str:
+    return _markdown_table(("bit", "name"), ((_bit(flag), flag.name) for flag in kind))
+
+
+def _codes(kind: type[enum.IntEnum]) -> str:
+    return _markdown_table(("code", "name"), ((member.value, member.name) for member in kind))
+
+
+def _types() -> str:
+    rows = (
+        (name, t.words, f"{t.lowest:.10g} to {t.highest:.10g}", f"{t.nothing:.10g}")
+        for name, t in registers.TYPES.items()
+    )
+    return _markdown_table(("type", "registers", "measured values", "no value"), rows)
+
+
+def _example() -> str:
+    """The head of an answer, in bytes and in words, packed by the same code that serves it."""
+    block = registers.encode(EXAMPLE, now_s=1.5, heartbeat=7)
+    words = 14
+    values = registers.decode([int.from_bytes(block[i : i + 2], "big") for i in range(0, 2 * words, 2)])
+    told = "\n".join(f"{name} = {value}" for name, value in values.items())
+    head = bytes.fromhex("0001 0000 00fd 01 04 fa") + block[: 2 * words]
+    return f"request  00 01 00 00 00 06 01 04 00 00 00 7d\nanswer   {head.hex(' ')} ...\n\n{told}"
+
+
+_PAGE = """\
+# Registers of the paint inspection station
+
+Map version {version}, generated by `inspector registers --format markdown`. The whole list, for import: `registers.csv`.
+
+## How to poll
+Modbus TCP, function 3 or 4 (both answer alike: holding registers mirror input registers), unit id 0, 1 or 255. Read
+{block_words} registers at address 0 in one request: that is one complete result, never a mixture of two. All addresses
+here are zero-based, as on the wire; a manual's 30001 or 40001 is address 0. To look with a public tool:
+
+    mbpoll -m tcp -p PORT -0 -r 0 -c {block_words} -t 3 -1 HOST       # -t 4: the same through function 3
+    mbpoll -m tcp -p PORT -0 -r 12 -t 3:float -B -1 HOST     # largest_height_um_f32, high word first
+
+1. `heartbeat` must change within two seconds; else the station is dead: treat the panel as not inspected.
+2. `status` must have READY, must not have FAULT, and on a production line must not have SIMULATED.
+3. A changed `sequence` is a new result. Act on `verdict` only while RESULTS_VALID is set: 1 is good, everything else is
+   not. A gap in `sequence` is a result you did not see.
+4. `result_age_ms` says how old the result is; a stopped line is not a fault, only an old result.
+
+Who may connect is set in the station's settings; unless they say otherwise, only programs on the station itself.
+Idle connections are closed: poll at least as often as the settings' idle time-out, or reconnect.
+
+## Conventions
+value = register * scale, in the unit given. Units `id`, `tick`, `code` and `bits` mark exact numbers, which wrap; all
+others saturate at the range's end and set SATURATED_VALUE. 32-bit values lie high word first unless the settings say
+`low_first`. Registers not named inside an area are reserved and read 0. All registers are read-only.
+
+{types}
+
+## Result block, address 0
+The {block_defects} highest defects come highest first; unused places are 0. A defect whose height could not be measured
+counts as the highest.
+
+{result}
+
+## Defect list, address {list_address}
+All defects of the same result, up to {list_defects}, highest first. Defect n begins at address
+{first_listed} + {defect_words} * (n - 1); only the first is shown here. The list takes more than one read: read
+{list_address} first and {list_end} last, and read again if the two differ.
+
+{listing}
+
+## Verdicts
+{verdicts}
+
+## States
+{states}
+
+## Status bits
+{status}
+
+## Reason bits
+{reasons}
+
+## Defect flags
+{flags}
+
+## Fault codes
+{faults}
+
+## Modbus exceptions
+An answer is never short or empty: it is whole, or an exception (function + 128, then the code).
+
+{exceptions}
+
+## Worked example
+```
+{example}
+```
+"""
