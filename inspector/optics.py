@@ -137,12 +137,12 @@ class Light:
     angular_sigma_deg: float | None = None
 
     def toward(self, points_mm: FloatArray) -> FloatArray:
-        """Unit vectors (n, 3) from world points (n, 3) mm towards the lamp."""
+        """Unit vectors (..., 3) from world points (..., 3) mm towards the lamp."""
         if self.position_mm is None:
             assert self.direction is not None
             return np.broadcast_to(self.direction, points_mm.shape)
         away = self.position_mm - points_mm
-        return np.asarray(away / np.linalg.norm(away, axis=1, keepdims=True))
+        return np.asarray(away / np.linalg.norm(away, axis=-1, keepdims=True))
 
 
 @dataclass(frozen=True)

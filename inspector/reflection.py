@@ -15,10 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from inspector.model import FloatArray
+from inspector.model import FloatArray, IntArray
 from inspector.optics import Calibration, Camera, Light
 
 MIRROR = np.array([1.0, 1.0, -1.0])
+UP = np.array([0.0, 0.0, 1.0])
 LAMP_ROUNDS = 6
 """A lamp at a finite distance is seen from the spot, which moves with the seed: each round wins two digits."""
 NORMAL_ROUNDS = 8
@@ -26,8 +27,8 @@ NORMAL_ROUNDS = 8
 
 
 def unit(v: FloatArray) -> FloatArray:
-    """Vectors (n, 3) scaled to length one."""
-    return v / np.sqrt(np.einsum("nk,nk->n", v, v))[:, None]
+    """Vectors (..., 3) scaled to length one."""
+    return np.asarray(v / np.sqrt((v * v).sum(axis=-1, keepdims=True)))
 
 
 def highlights(seeds: FloatArray, calibration: Calibration) -> tuple[FloatArray, FloatArray]:
@@ -55,23 +56,34 @@ class Rays:
     along: FloatArray
     across: FloatArray
 
-    def take(self, index: FloatArray) -> Rays:
+    def take(self, index: IntArray) -> Rays:
         """The rays of some of the pixels."""
         return Rays(self.along[index], self.across[index])
 
 
 def rays(camera: Camera, xy_px: FloatArray) -> Rays:
-    """Rays of pixels (n, 2), with the pseudo-inverse of their derivative by the pixel (central differences)."""
-    n, step = len(xy_px), 0.5
-    moved = np.concatenate([xy_px, xy_px + [step, 0], xy_px - [step, 0], xy_px + [0, step], xy_px - [0, step]])
-    d = unit(camera.rays(moved)).reshape(5, n, 3)
-    jacobian = np.stack([d[1] - d[2], d[3] - d[4]], axis=2) / (2 * step)
-    gram = np.einsum("nki,nkj->nij", jacobian, jacobian)
-    det = gram[:, 0, 0] * gram[:, 1, 1] - gram[:, 0, 1] ** 2
-    inverse = np.empty_like(gram)
-    inverse[:, 0, 0], inverse[:, 1, 1] = gram[:, 1, 1] / det, gram[:, 0, 0] / det
-    inverse[:, 0, 1] = inverse[:, 1, 0] = -gram[:, 0, 1] / det
-    return Rays(d[0], np.einsum("nij,nkj->nik", inverse, jacobian))
+    """Rays of pixels (n, 2), with the pseudo-inverse of their derivative by the pixel (forward differences)."""
+    n, step = len(xy_px), 0.1
+    moved = np.concatenate([xy_px, xy_px + (step, 0), xy_px + (0, step)])
+    d = unit(camera.rays(moved)).reshape(3, n, 3)
+    jacobian = ((d[1:] - d[0]) / step).transpose(1, 0, 2)
+    return Rays(d[0], _inverse_2x2(jacobian @ jacobian.transpose(0, 2, 1)) @ jacobian)
+
+
+def directions(found: Rays, calibration: Calibration) -> FloatArray:
+    """Pixels (n, 2) from direct to mirror spot of a small seed at each ray's foot, per mm of radius.
+
+    In the limit of small R both rays go to the foot F: P = F + R (z + n), and the mirrored P* = F - R (z + n* mirrored).
+    NaN where a ray does not meet the panel.
+    """
+    eye = calibration.camera.centre_mm
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = np.where(found.along[:, 2] < 0, -eye[2] / found.along[:, 2], np.nan)
+    foot = eye + reach[:, None] * found.along
+    lamp = calibration.light.toward(foot)
+    direct = unit(lamp - found.along) + UP
+    mirror = (unit(lamp + unit(eye * MIRROR - foot)) + UP) * MIRROR
+    return (found.across @ (mirror - direct)[:, :, None])[:, :, 0] / reach[:, None]
 
 
 @dataclass(frozen=True)
@@ -79,8 +91,7 @@ class Seeds:
     """Seeds that explain n pairs of pixels best.
 
     ``x_mm``, ``y_mm``, ``radius_mm`` (n,); ``covariance`` (n, 3, 3) of the three; ``chi2`` (n,) of the one spare
-    equation; ``gain`` (n, 3, 4) derivatives of the three by the four pixel coordinates; ``direct_normal`` and
-    ``mirror_normal`` (n, 3) of the surface at the spots.
+    equation; ``direct_normal`` and ``mirror_normal`` (n, 3) of the surface at the spots.
     """
 
     x_mm: FloatArray
@@ -88,53 +99,42 @@ class Seeds:
     radius_mm: FloatArray
     covariance: FloatArray
     chi2: FloatArray
-    gain: FloatArray
     direct_normal: FloatArray
     mirror_normal: FloatArray
 
 
 def solve(direct: Rays, mirror: Rays, direct_cov: FloatArray, mirror_cov: FloatArray, calibration: Calibration) -> Seeds:
     """The resting seeds that explain n pairs: rays of both spots and the covariance (n, 2, 2) px^2 of their pixels."""
-    eye = calibration.camera.centre_mm
-    eyes = (eye, eye * MIRROR)
-    along = (direct.along, mirror.along * MIRROR)
-    across = (direct.across, mirror.across * MIRROR)
-    # Distance to the spot scales mm to pixels: first to where the ray meets the panel, then to the spot itself.
-    reach = [eye[2] / np.maximum(-r.along[:, 2], 1e-9) for r in (direct, mirror)]
-    weight = (_inverse_2x2(direct_cov), _inverse_2x2(mirror_cov))
-    light = calibration.light
-    near = light.position_mm is not None
-    for _ in range(LAMP_ROUNDS if near else 2):
-        points = [e + t[:, None] * a for e, t, a in zip(eyes, reach, along, strict=True)]
-        normals = [unit(light.toward(p) - a) for p, a in zip(points, along, strict=True)]
-        normal_matrix, right, rows = 0.0, 0.0, []
-        for e, b, t, w, n in zip(eyes, across, reach, weight, normals, strict=True):
-            b = b / t[:, None, None]
-            a = np.concatenate([b[:, :, :2], np.einsum("nij,nj->ni", b, n + (0.0, 0.0, 1.0))[:, :, None]], axis=2)
-            y = b @ e
-            aw = np.einsum("nij,nik->njk", a, w)
-            normal_matrix, right = normal_matrix + aw @ a, right + np.einsum("njk,nk->nj", aw, y)
-            rows.append((a, y, w, aw))
-        covariance = _inverse_3x3(normal_matrix)
-        theta = np.einsum("njk,nk->nj", covariance, right)
-        centre = theta.copy()
-        reach = [
-            np.einsum("nk,nk->n", centre + theta[:, 2:] * n - e, a)
-            for e, a, n in zip(eyes, along, normals, strict=True)
-        ]
-        reach = [np.maximum(t, 1e-3) for t in reach]
-    chi2 = sum(np.einsum("ni,nij,nj->n", r, w, r) for a, y, w, _ in rows for r in (np.einsum("nij,nj->ni", a, theta) - y,))
-    gain = np.concatenate([covariance @ aw for _, _, _, aw in rows], axis=2)
-    return Seeds(theta[:, 0], theta[:, 1], theta[:, 2], covariance, chi2, gain, normals[0], normals[1])
+    eye, light = calibration.camera.centre_mm, calibration.light
+    eyes = np.stack([eye, eye * MIRROR])[:, None, :]
+    along = np.stack([direct.along, mirror.along * MIRROR])
+    across = np.stack([direct.across, mirror.across * MIRROR])
+    weight = _inverse_2x2(np.stack([direct_cov, mirror_cov]))
+    # mm at the spot become pixels by its distance; where the ray meets the panel is near enough, and sets weights only.
+    reach = np.maximum(np.abs(eyes[..., 2]) / np.maximum(np.abs(along[..., 2]), 1e-9), 1e-3)
+    across = across / reach[..., None, None]
+    seen = (across @ eyes[..., None])[..., 0]
+    for _ in range(LAMP_ROUNDS if light.position_mm is not None else 1):
+        spot = eyes + reach[..., None] * along
+        normal = unit(light.toward(spot) - along)
+        rows = np.concatenate([across[..., :2], across @ (normal + UP)[..., None]], axis=-1)
+        weighted = rows.swapaxes(-1, -2) @ weight
+        covariance = _inverse_3x3((weighted @ rows).sum(axis=0))
+        theta = (covariance @ (weighted @ seen[..., None]).sum(axis=0))[..., 0]
+        reach = (((theta + theta[:, 2:] * normal - eyes) * along)).sum(axis=-1)
+    residual = (rows @ theta[..., None])[..., 0] - seen
+    chi2 = ((residual[..., None, :] @ weight)[..., 0, :] * residual).sum(axis=(0, -1))
+    return Seeds(theta[:, 0], theta[:, 1], theta[:, 2], covariance, chi2, normal[0], normal[1])
 
 
 def _inverse_2x2(m: FloatArray) -> FloatArray:
-    """Inverse of symmetric matrices (n, 2, 2)."""
-    det = m[:, 0, 0] * m[:, 1, 1] - m[:, 0, 1] * m[:, 1, 0]
+    """Inverse of symmetric matrices (..., 2, 2)."""
+    a, b, d = m[..., 0, 0], m[..., 0, 1], m[..., 1, 1]
     out = np.empty_like(m)
-    out[:, 0, 0], out[:, 1, 1] = m[:, 1, 1] / det, m[:, 0, 0] / det
-    out[:, 0, 1] = out[:, 1, 0] = -m[:, 0, 1] / det
-    return out
+    out[..., 0, 0], out[..., 1, 1] = d, a
+    out[..., 0, 1] = out[..., 1, 0] = -b
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(out / (a * d - b * b)[..., None, None])
 
 
 def _inverse_3x3(m: FloatArray) -> FloatArray:
@@ -147,4 +147,4 @@ def _inverse_3x3(m: FloatArray) -> FloatArray:
     out[:, 0, 2] = out[:, 2, 0] = b * e - c * d
     out[:, 1, 2] = out[:, 2, 1] = b * c - a * e
     with np.errstate(divide="ignore", invalid="ignore"):
-        return out / (a * out[:, 0, 0] + b * out[:, 0, 1] + c * out[:, 0, 2])[:, None, None]
+        return np.asarray(out / (a * out[:, 0, 0] + b * out[:, 0, 1] + c * out[:, 0, 2])[:, None, None])

@@ -17,8 +17,6 @@ from inspector.detect.matching import best_matching
 from inspector.model import Flag, FloatArray, HighlightPairs, Highlights, IntArray
 from inspector.optics import Calibration
 
-PROBE_RADIUS_MM = 0.5
-"""Size of the imagined seeds that show the direction from direct to mirror spot."""
 LARGEST_RADIUS_MM = 12.0
 """No candidate is larger: three times the largest seed of the thesis."""
 BEND_SHARE, BEND_PX = 0.12, 1.5
@@ -76,43 +74,37 @@ def pair(spots: Highlights, calibration: Calibration) -> HighlightPairs:
 def _candidates(spots: Highlights, able: IntArray, calibration: Calibration) -> Candidates:
     """All couples that lie along the direction from direct to mirror spot and fit the model at all."""
     xy = spots.xy_px[able]
-    toward, scale = _directions(xy, calibration)
+    rays = reflection.rays(calibration.camera, xy)
+    toward = reflection.directions(rays, calibration)
+    scale = np.hypot(toward[:, 0], toward[:, 1])
+    toward = toward / scale[:, None]
     d = xy[None] - xy[:, None]
     along = d[..., 0] * toward[:, :1] + d[..., 1] * toward[:, 1:]
     beside = np.abs(d[..., 1] * toward[:, :1] - d[..., 0] * toward[:, 1:])
     near = (along > 0.5) & (along < LARGEST_RADIUS_MM * scale[:, None]) & (beside < BEND_PX + BEND_SHARE * along)
     i, j = np.nonzero(near)
-    return _scored(spots, able, i, j, along[i, j], calibration)
-
-
-def _directions(xy_px: FloatArray, calibration: Calibration) -> tuple[FloatArray, FloatArray]:
-    """Unit vectors (n, 2) in the image from direct to mirror spot, and pixels between them per mm of radius (n,).
-
-    NaN (no candidate) where a pixel does not look at the panel.
-    """
-    foot = calibration.camera.back_project(xy_px)
-    radius = np.full((len(foot), 1), PROBE_RADIUS_MM)
-    direct, mirror = reflection.highlights(np.hstack([foot, radius, radius]), calibration)
-    step = mirror - direct
-    length = np.hypot(step[:, 0], step[:, 1])
-    return step / length[:, None], length / PROBE_RADIUS_MM
+    model = (MODEL_SHARE * along[i, j]) ** 2
+    return _scored(spots, able[i], able[j], rays.take(i), rays.take(j), model, calibration)
 
 
 def _scored(
-    spots: Highlights, able: IntArray, i: IntArray, j: IntArray, along: FloatArray, calibration: Calibration
+    spots: Highlights,
+    a: IntArray,
+    b: IntArray,
+    direct: reflection.Rays,
+    mirror: reflection.Rays,
+    model_px2: FloatArray,
+    calibration: Calibration,
 ) -> Candidates:
-    """Solve all couples at once and score them; what cannot pay for itself is dropped."""
-    rays = reflection.rays(calibration.camera, spots.xy_px[able])
-    model = ((MODEL_SHARE * along) ** 2)[:, None, None] * np.eye(2)
-    a, b = able[i], able[j]
-    seeds = reflection.solve(
-        rays.take(i), rays.take(j), spots.covariance_px2[a] + model, spots.covariance_px2[b] + model, calibration
-    )
-    ratio = np.log(spots.flux_dn[a] / spots.flux_dn[b]) - np.log(expected_ratio(rays.along[i], rays.along[j], seeds))
-    spread2 = RATIO_SIGMA**2 + spots.flux_sigma[a] ** 2 + spots.flux_sigma[b] ** 2
-    cost = seeds.chi2 / 2 + ratio**2 / (2 * spread2)
+    """Solve all couples (m,) at once and score them; what cannot pay for itself is dropped."""
+    model = model_px2[:, None, None] * np.eye(2)
+    covariance = spots.covariance_px2
+    seeds = reflection.solve(direct, mirror, covariance[a] + model, covariance[b] + model, calibration)
     with np.errstate(invalid="ignore", divide="ignore"):
         size = np.log(spots.flux_dn[a] / seeds.radius_mm**2)
+        ratio = np.log(spots.flux_dn[a] / spots.flux_dn[b] / expected_ratio(direct.along, mirror.along, seeds))
+    spread2 = RATIO_SIGMA**2 + spots.flux_sigma[a] ** 2 + spots.flux_sigma[b] ** 2
+    cost = seeds.chi2 / 2 + ratio**2 / (2 * spread2)
     good = np.flatnonzero((seeds.radius_mm > 0) & (seeds.radius_mm < LARGEST_RADIUS_MM) & (cost < WORTH))
     return Candidates(a, b, cost, seeds.radius_mm, size).take(good)
 
@@ -122,18 +114,23 @@ def expected_ratio(direct_along: FloatArray, mirror_along: FloatArray, seeds: re
 
     A small convex mirror sends the same flux whatever the angle, so only the reflectances differ.
     """
-    direct = fresnel(np.abs(np.einsum("nk,nk->n", direct_along, seeds.direct_normal)))
-    sphere = fresnel(np.abs(np.einsum("nk,nk->n", mirror_along * reflection.MIRROR, seeds.mirror_normal)))
-    paint = fresnel(np.abs(mirror_along[:, 2]))
-    return direct / (sphere * paint)
+    cosines = np.stack(
+        [
+            (direct_along * seeds.direct_normal).sum(axis=1),
+            (mirror_along * reflection.MIRROR * seeds.mirror_normal).sum(axis=1),
+            mirror_along[:, 2],
+        ]
+    )
+    direct, sphere, paint = fresnel(np.abs(cosines))
+    return np.asarray(direct / (sphere * paint))
 
 
 def fresnel(cosine: FloatArray) -> FloatArray:
-    """Reflectance (n,) of the clear coat for unpolarised light at an angle of incidence of this cosine."""
+    """Reflectance of the clear coat for unpolarised light at angles of incidence of these cosines, same shape."""
     inside = np.sqrt(1 - (1 - cosine**2) / PAINT_INDEX**2)
     s = (cosine - PAINT_INDEX * inside) / (cosine + PAINT_INDEX * inside)
     p = (inside - PAINT_INDEX * cosine) / (inside + PAINT_INDEX * cosine)
-    return (s * s + p * p) / 2
+    return np.asarray((s * s + p * p) / 2)
 
 
 def _outermost(found: Candidates, chosen: IntArray) -> IntArray:
