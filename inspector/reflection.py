@@ -67,6 +67,7 @@ def rays(camera: Camera, xy_px: FloatArray) -> Rays:
     moved = np.concatenate([xy_px, xy_px + (step, 0), xy_px + (0, step)])
     d = unit(camera.rays(moved)).reshape(3, n, 3)
     jacobian = ((d[1:] - d[0]) / step).transpose(1, 0, 2)
+    jacobian -= (jacobian * d[0][:, None]).sum(axis=2, keepdims=True) * d[0][:, None]  # a ray says nothing along itself
     return Rays(d[0], _inverse_2x2(jacobian @ jacobian.transpose(0, 2, 1)) @ jacobian)
 
 
