@@ -73,6 +73,10 @@ class AnalogueModule(Protocol):
         """Read one output back, volts."""
         ...
 
+    def check_trip(self) -> None:
+        """Raise WatchdogTripped if the module fell back to its safe value and ignores writes."""
+        ...
+
 
 class Lamp(Protocol):
     """A lamp with a 0-5 V level input."""

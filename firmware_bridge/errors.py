@@ -29,6 +29,10 @@ class NoReply(BridgeError):
     """The device did not answer, or gave no frame, within its deadline."""
 
 
+class EndOfRecording(NoReply):
+    """A recording was shown to its end; there is nothing wrong, and nothing more."""
+
+
 class ReplyWrong(BridgeError):
     """The answer is damaged, stale, truncated, or another device's."""
 

@@ -24,7 +24,9 @@ from firmware_bridge.wire.profiles import PROFILES, LinkKind, Profile
 class Strict(BaseModel):
     """Base of every settings model: unknown keys and silent conversions are errors; instances do not change."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 def _known_profile(name: str) -> str:
@@ -84,7 +86,7 @@ class ModuleSettings(Strict):
     deadline_s: PositiveFloat = Field(0.5, le=10)
     """Every request is answered or given up within this time, seconds."""
     safe_v: float | None = Field(None, ge=0, le=lamp_curve.CLAMP_V)
-    """Level of the lamp's channel after the module's watchdog tripped, volts; null: as the module was set up."""
+    """Level that the lamp's output takes when the module's watchdog trips, volts; null: as the module was set up."""
     watchdog_s: PositiveFloat | None = None
     """The module goes to its safe level when nothing was asked of it for so long, seconds; null: as it was set up."""
 

@@ -28,6 +28,10 @@ class Point:
     table: Table
     address: int
 
+    def plus(self, offset: int) -> Point:
+        """The point ``offset`` addresses further on."""
+        return Point(self.table, self.address + offset)
+
     @property
     def manual(self) -> str:
         """The address as manuals write it: table digit and five-digit one-based number."""
@@ -84,6 +88,8 @@ class Setup:
     value: int
     meaning: str
     writable: bool
+    per_channel: bool = False
+    """True: ``point`` is the first channel's, the others' follow on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +109,7 @@ class Watchdog:
     timeout_s_per_count: float = 0.1
     timeout_counts_max: int = 255
     per_channel: bool = False
-    """True: ``tripped`` and ``clear`` are the first channel's, the others' follow."""
+    """True: ``tripped`` and ``clear`` are the first channel's, the others' follow on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +126,9 @@ class Profile:
     read_back_holds: ReadBack = ReadBack.COUNTS
     setup: tuple[Setup, ...] = ()
     safe_value: Point | None = None
+    """First channel's level after a trip, in counts; the others' follow on."""
     power_on_value: Point | None = None
+    """First channel's level at power-on, in counts; the others' follow on."""
     watchdog: Watchdog | None = None
     digital_inputs: tuple[Point, int] | None = None
     """First digital input and how many follow on."""
@@ -131,11 +139,11 @@ class Profile:
 
     def output_of(self, channel: int) -> Point:
         """Where a channel's level is written."""
-        return Point(self.output.table, self.output.address + channel)
+        return self.output.plus(channel)
 
     def read_back_of(self, channel: int) -> Point:
         """Where a channel's level is read back."""
-        return Point(self.read_back.table, self.read_back.address + channel * self.read_back_holds.words)
+        return self.read_back.plus(channel * self.read_back_holds.words)
 
     def decode_read_back(self, registers: list[int]) -> float:
         """Volts from the read-back registers of one channel."""
@@ -161,10 +169,6 @@ def holding(address: int) -> Point:
     return Point(Table.HOLDING_REGISTERS, address)
 
 
-def _adam_type_code(channel: int) -> Setup:
-    return Setup(manual(40201 + channel), 0x32, f"type code of channel {channel}: 0x32, -10 to 10 V", writable=False)
-
-
 _ROWS = (
     Profile(
         name="adam-4024",
@@ -174,7 +178,7 @@ _ROWS = (
         output=manual(40001),
         span=Span(-10.0, 10.0, 4095),
         read_back=manual(40001),
-        setup=tuple(_adam_type_code(channel) for channel in range(4)),
+        setup=(Setup(manual(40201), 0x32, "type code 0x32: -10 to 10 V", writable=False, per_channel=True),),
         watchdog=Watchdog(tripped=manual(40216)),
         digital_inputs=(manual(1), 4),
         unconfirmed=(

@@ -1,0 +1,133 @@
+"""Recorded frames shown as if a camera took them, at a set rate or as fast as they are asked for."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from firmware_bridge.contracts import CameraCapabilities, CameraFrame
+from firmware_bridge.drivers import frame_file
+from firmware_bridge.errors import BridgeError, DeviceGone, EndOfRecording, NoReply, OutOfRange, ReplyWrong
+
+EXPOSURE_MIN_US, EXPOSURE_MAX_US, EXPOSURE_STEP_US = 1.0, 1e6, 1.0
+"""The range of the line camera the recordings stand for: 1 us to 1 s in steps of 1 us."""
+
+
+class ReplayCamera:
+    """Implements :class:`firmware_bridge.contracts.Camera` over image files and folders of them.
+
+    Files are decoded when they are due, one at a time. A file that cannot be read raises ReplyWrong with its name,
+    and the next grab goes on with the next file; a missing folder raises DeviceGone, and after reopening the
+    recording goes on where it was. Recordings do not say at what exposure they were taken: frames carry the one
+    that was set, None before it is set. After the last frame it starts again (``loop``) or raises EndOfRecording.
+    """
+
+    simulated = True
+
+    def __init__(
+        self,
+        paths: Sequence[Path],
+        *,
+        rate_hz: float = 0.0,
+        loop: bool = True,
+        deadline_s: float = 5.0,
+        device: str = "camera",
+    ) -> None:
+        self._paths, self._device = tuple(paths), device
+        self._period_s, self._loop, self._deadline_s = (1 / rate_hz if rate_hz else 0.0), loop, deadline_s
+        self._files: list[Path] = []
+        self._position = 0
+        self._taken = 0
+        self._due_s = 0.0
+        self._exposure_us: float | None = None
+        self._shape: tuple[int, int] | None = None
+        self._closed = threading.Event()
+        self._closed.set()
+
+    def open(self) -> None:
+        """List the files. Raises DeviceGone if a path is missing or no frames are found."""
+        self._files = self._listed()
+        self._due_s = time.monotonic()
+        self._closed.clear()
+
+    def close(self) -> None:
+        """Stop showing frames; a grab that waits in another thread ends at once. May be called twice."""
+        self._closed.set()
+
+    def capabilities(self) -> CameraCapabilities:
+        """See the contract; the shape is that of the last frame."""
+        height, width = self._shape or (None, None)
+        return CameraCapabilities(EXPOSURE_MIN_US, EXPOSURE_MAX_US, EXPOSURE_STEP_US, width, height)
+
+    def set_exposure_us(self, exposure_us: float) -> float:
+        """See the contract; kept as it is, since nothing is exposed anew."""
+        if not EXPOSURE_MIN_US <= exposure_us <= EXPOSURE_MAX_US:
+            what = f"exposure {exposure_us} us is outside {EXPOSURE_MIN_US:g} to {EXPOSURE_MAX_US:g} us"
+            raise OutOfRange(self._device, what, "ask for an exposure in that range")
+        self._exposure_us = exposure_us
+        return exposure_us
+
+    def grab(self) -> CameraFrame:
+        """See the contract. Raises EndOfRecording after the last frame, unless it loops."""
+        self._wait_until_due()
+        path = self._next_file()
+        self._taken += 1
+        frame_id, taken_at_s = self._taken, time.time()
+        try:
+            image = frame_file.read(path)
+        except OSError as error:
+            raise self._missing(path, error) from error
+        except ValueError as error:
+            raise ReplyWrong(
+                self._device, f"{path}: {error}", "record the frame again, or take the file away"
+            ) from error
+        self._shape = (image.shape[0], image.shape[1])
+        return CameraFrame(image, frame_id, str(path), self._exposure_us, taken_at_s)
+
+    def _wait_until_due(self) -> None:
+        """Wait for the next tick of the rate; ticks that passed while nobody asked are not made up for."""
+        wait_s = self._due_s - time.monotonic()
+        if self._closed.wait(min(wait_s, self._deadline_s) if wait_s > 0 else 0):
+            raise DeviceGone(self._device, "closed", "open it first")
+        if wait_s > self._deadline_s:
+            raise NoReply(self._device, f"no frame in {self._deadline_s:g} s", "raise rate_hz or deadline_s")
+        self._due_s = max(self._due_s, time.monotonic() - self._period_s) + self._period_s
+
+    def _next_file(self) -> Path:
+        if self._position >= len(self._files):
+            if not self._loop:
+                raise EndOfRecording(self._device, f"all {len(self._files)} frames were shown", "set loop: true")
+            self._files, self._position = self._listed(), 0
+        path = self._files[self._position]
+        self._position += 1
+        return path
+
+    def _listed(self) -> list[Path]:
+        """Every file of the paths, a folder's sorted by name. Raises DeviceGone."""
+        files: list[Path] = []
+        try:
+            for path in self._paths:
+                files += _frames_in(path)
+        except OSError as error:
+            what = f"cannot read {error.filename}: {error.strerror}"
+            raise DeviceGone(self._device, what, "check the path and its permissions") from error
+        if not files:
+            shown = ", ".join(map(str, self._paths))
+            raise DeviceGone(self._device, f"no frames in {shown}", "put PNG, TIFF, BMP, PGM or npy files there")
+        return files
+
+    def _missing(self, path: Path, error: OSError) -> BridgeError:
+        """One file lost is a wrong frame; its whole folder lost is a camera unplugged, and the file is still due."""
+        if path.parent.is_dir():
+            return ReplyWrong(self._device, f"{path}: {error.strerror}", "put the file back, or restart the recording")
+        self._position -= 1
+        return DeviceGone(self._device, f"folder {path.parent} is missing", "put the folder back")
+
+
+def _frames_in(path: Path) -> list[Path]:
+    if not path.is_dir():
+        path.stat()
+        return [path]
+    return sorted(file for file in path.iterdir() if file.suffix.lower() in frame_file.SUFFIXES)

@@ -1,0 +1,160 @@
+"""Byte streams to devices: serial lines and TCP connections. Opened here and nowhere else.
+
+Every call returns or raises within the time it is given. A port that vanishes raises DeviceGone; it is then closed
+and opened again, under the same name, as a new one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import socket
+import termios
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from firmware_bridge.errors import DeviceGone, NoReply
+
+READ_BYTES = 4096
+
+
+class _Opened(Protocol):
+    """What is behind a port: a serial.Serial or a socket."""
+
+    def fileno(self) -> int: ...
+    def close(self) -> None: ...
+
+
+def _nothing() -> None:
+    """Nobody waits for the port to be closed."""
+
+
+class Port:
+    """An open byte stream. ``name`` is the port's or the peer's; it goes into every error.
+
+    ``after_close`` is called once, when it is closed: whoever made the other end takes it away then.
+    """
+
+    def __init__(self, device: str, name: str, opened: _Opened, after_close: Callable[[], None] = _nothing) -> None:
+        self._device, self.name, self._opened = device, name, opened
+        self._after_close = after_close
+        self._fd = opened.fileno()
+        os.set_blocking(self._fd, False)
+        self._readable, self._writable = select.poll(), select.poll()
+        self._readable.register(self._fd, select.POLLIN)
+        self._writable.register(self._fd, select.POLLOUT)
+
+    def read(self, timeout_s: float) -> bytes:
+        """What has come, at least one byte; empty if nothing came in time. Raises DeviceGone."""
+        if self._fd < 0:
+            raise self._gone("is closed")
+        if not self._readable.poll(max(timeout_s, 0.0) * 1000):
+            return b""
+        try:
+            data = os.read(self._fd, READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise self._gone(reason(error)) from error
+        if not data:
+            raise self._gone("closed by the other side")
+        return data
+
+    def write(self, data: bytes, timeout_s: float) -> None:
+        """Send all of it. Raises DeviceGone, or NoReply if the other side does not take it in time."""
+        if self._fd < 0:
+            raise self._gone("is closed")
+        until_s = time.monotonic() + timeout_s
+        rest = memoryview(data)
+        while rest:
+            if not self._writable.poll(max(until_s - time.monotonic(), 0.0) * 1000):
+                raise NoReply(self._device, f"{self.name} takes no data", "check the line's other end")
+            try:
+                rest = rest[os.write(self._fd, rest) :]
+            except BlockingIOError:
+                continue
+            except OSError as error:
+                raise self._gone(reason(error)) from error
+
+    def discard_input(self) -> int:
+        """Throw away what has come so far, at most a few pages of it; how many bytes that was. Raises DeviceGone."""
+        discarded = 0
+        for _ in range(16):
+            data = self.read(0.0)
+            discarded += len(data)
+            if not data:
+                break
+        return discarded
+
+    def close(self) -> None:
+        """Close; may be called twice, never raises. What nobody took is dropped: the kernel would wait for it."""
+        if self._fd < 0:
+            return
+        with contextlib.suppress(termios.error):  # not a terminal, or gone
+            termios.tcflush(self._fd, termios.TCOFLUSH)
+        self._fd = -1
+        with contextlib.suppress(OSError):
+            self._opened.close()
+        self._after_close()
+
+    def _gone(self, why: str) -> DeviceGone:
+        return DeviceGone(self._device, f"{self.name}: {why}", "check its cable and power")
+
+
+PortOpener = Callable[[], Port]
+"""Opens a port, or raises DeviceGone saying why it cannot."""
+
+
+def open_serial(
+    device: str,
+    port: str,
+    *,
+    baud: int = 9600,
+    parity: str = "N",
+    stop_bits: int = 1,
+    after_close: Callable[[], None] = _nothing,
+) -> Port:
+    """A serial line, 8 data bits, locked exclusively (flock): two owners would read each other's answers.
+
+    Raises DeviceGone.
+    """
+    import serial  # only stations with a serial line pay for it
+
+    try:
+        opened = serial.Serial(port, baud, parity=parity, stopbits=stop_bits, timeout=0, exclusive=True)
+    except (OSError, ValueError, termios.error) as error:  # pyserial's own SerialException is an OSError
+        raise DeviceGone(device, f"cannot open {port}: {reason(error)}", _serial_remedy(error)) from error
+    return Port(device, port, opened, after_close)
+
+
+def open_tcp(device: str, host: str, port: int, timeout_s: float, after_close: Callable[[], None] = _nothing) -> Port:
+    """A TCP connection. Raises DeviceGone."""
+    name = f"{host}:{port}"
+    try:
+        opened = socket.create_connection((host, port), timeout=timeout_s)
+    except OSError as error:
+        raise DeviceGone(
+            device, f"cannot connect to {name}: {reason(error)}", "check address, cable and power"
+        ) from error
+    opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return Port(device, name, opened, after_close)
+
+
+def reason(error: BaseException) -> str:
+    """The system's own words for an error, without the path and number that pyserial repeats."""
+    number = getattr(error, "errno", None)
+    return os.strerror(number) if isinstance(number, int) else str(error)
+
+
+def _serial_remedy(error: BaseException) -> str:
+    number = getattr(error, "errno", None)
+    if number == errno.ENOENT:
+        return "check the adapter's cable; name it by /dev/serial/by-id"
+    if number == errno.EACCES:
+        return "let the service's user open it (group dialout)"
+    if number in (errno.EAGAIN, errno.EBUSY):
+        return "another program has it open: end that first"
+    return "check the port's name and the adapter"
