@@ -1,0 +1,211 @@
+"""Everything a station is told: one tree, one YAML file, read strictly before anything is touched.
+
+``load`` gives settings that hold together, or a :class:`SettingsError` with every problem there is.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import ipaddress
+import json
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, PositiveFloat
+
+from firmware_bridge import settings as bridge
+from inspector import yaml_document
+from inspector.calibration_file import CalibrationError
+from inspector.calibration_file import read as read_calibration
+from inspector.recipe import Recipe, Strict
+from inspector.yaml_document import Document, Problem
+
+
+class SettingsError(ValueError):
+    """Settings cannot be used; ``problems`` has all of them, the message one line for each."""
+
+    def __init__(self, problems: tuple[Problem, ...]) -> None:
+        super().__init__("\n".join(map(str, problems)))
+        self.problems = problems
+
+
+def _network(text: str) -> str:
+    try:
+        ipaddress.ip_network(text)
+    except ValueError as error:
+        raise ValueError(f"allowed: an address or a network such as 192.168.1.0/24 ({error})") from error
+    return text
+
+
+class PlcSettings(Strict):
+    """The Modbus TCP server that the line's PLC polls."""
+
+    host: str = Field("127.0.0.1", min_length=1)
+    """Address of this machine to listen on; 0.0.0.0 for all of them."""
+    port: int = Field(5020, ge=0, le=65535)
+    """TCP port; 502 is Modbus' own and needs a privilege; 0 takes any free one."""
+    unit_ids: tuple[Annotated[int, Field(ge=0, le=255)], ...] = Field((0, 1, 255), min_length=1)
+    """Unit ids that are answered."""
+    allow: tuple[Annotated[str, AfterValidator(_network)], ...] = ("127.0.0.0/8", "::1/128")
+    """Addresses and networks that may connect."""
+    max_connections: int = Field(16, ge=1, le=1024)
+    """More clients than this at once are turned away."""
+    idle_timeout_s: PositiveFloat = 60.0
+    """A connection without a request for so long is closed, seconds."""
+    word_order: Literal["high_first", "low_first"] = "high_first"
+    """Order of the two registers of a 32-bit value."""
+
+
+class FreeRunning(Strict):
+    """A cycle begins when the one before it is done: the camera sets the pace."""
+
+    kind: Literal["free_running"] = "free_running"
+    """The camera sets the pace."""
+
+
+class Timed(Strict):
+    """A cycle begins at each tick of a clock; ticks that come during a cycle are counted as missed."""
+
+    kind: Literal["timed"]
+    """A clock sets the pace."""
+    rate_hz: float = Field(gt=0, le=1000)
+    """Cycles a second."""
+
+
+class CycleSettings(Strict):
+    """When a frame is taken, how near it must be to what was asked, and how failed devices are tried again."""
+
+    trigger: Annotated[FreeRunning | Timed, Field(discriminator="kind")] = FreeRunning()
+    """What begins a cycle."""
+    exposure_tolerance: float = Field(0.01, ge=0, lt=1)
+    """How far the exposure read back may be from the one asked for, as a share of it."""
+    retry_first_s: float = Field(0.1, gt=0, le=60)
+    """A failed device is tried again after this time, seconds; each further failure doubles it."""
+    retry_longest_s: float = Field(5.0, gt=0, le=600)
+    """The longest time between two tries, seconds."""
+
+
+def _or_file(schema: dict[str, Any]) -> None:
+    """A recipe may stand in a file of its own: say so in the JSON schema."""
+    reference = schema.pop("$ref")
+    schema["anyOf"] = [{"$ref": reference}, {"type": "string", "description": "File of the recipe"}]
+
+
+class Settings(Strict):
+    """A station. Paths in the file are relative to the file; those here are ready for use."""
+
+    station: str = Field("station", min_length=1)
+    """Name shown to people."""
+    calibration: Path
+    """Calibration file, made by `inspector calibrate`."""
+    camera: bridge.CameraSettings
+    """Where frames come from."""
+    module: bridge.ModuleSettings
+    """The I/O module that sets the lamp's level."""
+    lamp: bridge.LampSettings = bridge.LampSettings()
+    """The lamp."""
+    plc: PlcSettings = PlcSettings()
+    """What the PLC polls."""
+    recipe: Recipe = Field(Recipe(), json_schema_extra=_or_file)
+    """What the paint colour and part type decide; in place, or the name of a file that has it."""
+    cycle: CycleSettings = CycleSettings()
+    """The inspection cycle."""
+
+    def under(self, folder: Path) -> Settings:
+        """The same settings with relative paths taken from ``folder``."""
+        return self.model_copy(
+            update={"calibration": folder / self.calibration, "camera": self.camera.under(folder)},
+        )
+
+
+def load(path: Path) -> Settings:
+    """The settings in a file, with its calibration file looked through. Raises SettingsError with every problem."""
+    document = _with_recipe(yaml_document.read(path), path.parent)
+    settings, problems = yaml_document.validate(document, Settings)
+    if isinstance(document.data, dict):
+        problems += tuple(_joint_problems(document, document.data, path.parent))
+        problems += tuple(_port_problems(document, settings.model_dump() if settings else document.data))
+    if settings is None or problems:
+        raise SettingsError(problems)
+    return settings.under(path.parent)
+
+
+def check(path: Path) -> Settings:
+    """As :func:`load`, and recorded frames must be there too: the service itself waits for them as for any device."""
+    settings = load(path)
+    missing = [frame for frame in settings.camera.paths if not frame.exists()]
+    if missing:
+        allowed = "allowed: an image file or a folder that is there (the service would wait for it)"
+        raise SettingsError(tuple(Problem(str(path), "camera.paths", repr(str(frame)), allowed) for frame in missing))
+    return settings
+
+
+def configuration_hash(settings: Settings) -> int:
+    """32 bits that change when any setting, or the calibration file's content, does. Raises OSError."""
+    folder = settings.calibration.parent  # paths count relative to it, so that a moved installation keeps its hash
+    values = settings.model_dump(mode="json", exclude={"calibration"})
+    values["camera"]["paths"] = [os.path.relpath(frame, folder) for frame in settings.camera.paths]
+    text = json.dumps(values, sort_keys=True).encode()
+    digest = hashlib.sha256(text + settings.calibration.read_bytes()).digest()
+    return int.from_bytes(digest[:4], "big")
+
+
+def _with_recipe(document: Document, folder: Path) -> Document:
+    """The document with its recipe's own file, if it names one, taken in."""
+    recipe = document.data.get("recipe") if isinstance(document.data, dict) else None
+    return document.including("recipe", yaml_document.read(folder / recipe)) if isinstance(recipe, str) else document
+
+
+def _joint_problems(document: Document, data: Mapping[str, object], folder: Path) -> Iterator[Problem]:
+    """What no single value shows: files that are not there, parts that do not fit together."""
+    yield from _calibration_problems(document, data.get("calibration"), folder)
+    yield from _device_problems(document, data)
+
+
+def _calibration_problems(document: Document, calibration: object, folder: Path) -> Iterator[Problem]:
+    if not isinstance(calibration, str):
+        return
+    try:
+        read_calibration(folder / calibration)
+    except CalibrationError as error:
+        for line in str(error).splitlines():
+            yield document.problem(("calibration",), calibration, line)
+
+
+def _device_problems(document: Document, data: Mapping[str, object]) -> Iterator[Problem]:
+    """What the bridge finds when module and lamp are each right but do not fit; else validation has said it."""
+    module, _ = yaml_document.validate(Document("", data.get("module")), bridge.ModuleSettings)
+    lamp, _ = yaml_document.validate(Document("", data.get("lamp", {})), bridge.LampSettings)
+    if module is None or lamp is None:
+        return
+    for place, value, allowed in bridge.conflicts(module, lamp):
+        yield document.problem(tuple(place.split(".")), value, f"allowed: {allowed}")
+
+
+def _port_problems(document: Document, data: object) -> Iterator[Problem]:
+    """Ports that two parts would open: a serial device under any of its names, a TCP port of this machine."""
+    first: dict[object, str] = {}
+    for place, mapping in yaml_document.mappings(data):
+        claim = _claim(mapping)
+        if claim is None:
+            continue
+        here = (*place, "port")
+        if claim in first:
+            yield document.problem(here, mapping["port"], f"already used by {first[claim]}; allowed: a port of its own")
+        first.setdefault(claim, yaml_document.path_text(here))
+
+
+def _claim(mapping: Mapping[str, object]) -> object:
+    """What a mapping with a key ``port`` takes for itself; None if nothing that another could want too."""
+    port = mapping.get("port")
+    if isinstance(port, str):
+        return os.path.realpath(port)
+    if isinstance(port, int) and port > 0:
+        host = str(mapping.get("host", "127.0.0.1"))
+        return port, "this machine" if host.startswith("127.") or host in _THIS_MACHINE else host
+    return None
+
+
+_THIS_MACHINE = ("localhost", "0.0.0.0", "::", "::1")
