@@ -38,6 +38,50 @@ def registers(format: Annotated[RegisterFormat, typer.Option(help="How to print 
     typer.echo(FORMATS[format.value](), nl=False)
 
 
+class CalibrationMethod(enum.StrEnum):
+    """Ways to fit the camera."""
+
+    REPROJECTION = "reprojection"
+    TSAI = "tsai"
+
+
+@app.command()
+def calibrate(
+    output: Annotated[Path, typer.Option(help="Calibration file to write, YAML.")],
+    points: Annotated[Path | None, typer.Option(help="CSV: xw_mm, yw_mm, zw_mm, Xf_px, Yf_px.")] = None,
+    board: Annotated[Path | None, typer.Option(help="Image of a board of bright squares on black.")] = None,
+    pitch_mm: Annotated[float | None, typer.Option(help="Board: distance of the squares' centres.")] = None,
+    columns: Annotated[int | None, typer.Option(help="Board: squares along x.")] = None,
+    rows: Annotated[int | None, typer.Option(help="Board: squares along y.")] = None,
+    square_mm: Annotated[float | None, typer.Option(help="Board: side of a square; default: from the image.")] = None,
+    method: Annotated[CalibrationMethod, typer.Option(help="Fit.")] = CalibrationMethod.REPROJECTION,
+    width_px: Annotated[int | None, typer.Option(help="Sensor width; default: the image's, or 640.")] = None,
+    height_px: Annotated[int | None, typer.Option(help="Sensor height; default: the image's, or 480.")] = None,
+    dx_mm: Annotated[float, typer.Option(help="Pixel pitch in x.")] = 0.0075,
+    dy_mm: Annotated[float, typer.Option(help="Pixel pitch in y.")] = 0.0075,
+    cx_px: Annotated[float | None, typer.Option(help="Image centre, x; default: half the width.")] = None,
+    cy_px: Annotated[float | None, typer.Option(help="Image centre, y; default: half the height.")] = None,
+    sx: Annotated[float, typer.Option(help="Horizontal scale uncertainty.")] = 1.0,
+    alpha_deg: Annotated[float, typer.Option(help="Lamp's angle from the panel's normal.")] = 30.0,
+    azimuth_deg: Annotated[
+        float | None, typer.Option(help="Lamp's direction on the panel, from x to y; default: opposite the camera.")
+    ] = None,
+    view_angle_deg: Annotated[float | None, typer.Option(help="Nominal view angle; default: as fitted.")] = None,
+    overlay: Annotated[Path | None, typer.Option(help="Picture; default: beside the output, .overlay.png.")] = None,
+) -> None:
+    """Fit the camera from points or from the image of a board, and write its calibration file."""
+    from inspector import calibrate as command
+
+    with command.refusals():
+        source = command.source(points, board, pitch_mm, columns, rows, square_mm)
+        sensor = command.SensorOptions(width_px, height_px, dx_mm, dy_mm, cx_px, cy_px, sx)
+        outcome = command.run(source, sensor, method.value)
+        geometry = command.calibration(outcome.fit, alpha_deg, azimuth_deg, view_angle_deg)
+        picture = overlay or output.with_suffix(".overlay.png")
+        command.save(output, outcome, geometry, picture)
+        typer.echo(f"{command.report(outcome)}\n\ncalibration: {output}\npicture:     {picture}")
+
+
 def main() -> None:
     """Entry point of the `inspector` command."""
     app()
