@@ -206,4 +206,5 @@ class Snapshot:
     exposure_us: float = 0.0
     configuration_hash: int = 0
     simulated: bool = False
+    settings_refused: bool = False
     extra: dict[str, float] = field(default_factory=dict)

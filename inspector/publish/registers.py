@@ -73,6 +73,7 @@ class Status(enum.IntFlag):
     SATURATED_VALUE = 1 << 6
     DEFECTS_TRUNCATED = 1 << 7
     LIST_TRUNCATED = 1 << 8
+    SETTINGS_REFUSED = 1 << 9
 
 
 STATUS_MEANINGS = {
@@ -85,6 +86,7 @@ STATUS_MEANINGS = {
     Status.SATURATED_VALUE: "Some measured value is outside its register's range and stands at the range's end",
     Status.DEFECTS_TRUNCATED: "More defects than the result block shows: read the defect list",
     Status.LIST_TRUNCATED: "More defects than the defect list shows",
+    Status.SETTINGS_REFUSED: "New settings were refused (503); inspection goes on with the old ones",
 }
 
 
@@ -138,6 +140,7 @@ def _status(p: Publication) -> Number:
         Status.SATURATED_VALUE: p.saturated,
         Status.DEFECTS_TRUNCATED: len(p.defects) > BLOCK_DEFECTS,
         Status.LIST_TRUNCATED: len(p.defects) > LIST_DEFECTS,
+        Status.SETTINGS_REFUSED: s.settings_refused,
     }
     return sum(bit for bit, is_set in bits.items() if is_set)
 

@@ -1,0 +1,111 @@
+"""Keeps one device usable: opens it, closes it when it fails, and tries again with back-off, for that device alone."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
+
+from firmware_bridge.errors import BridgeError
+from inspector.acquire.outage import Outage
+
+
+class Device(Protocol):
+    """What every contract has."""
+
+    simulated: bool
+
+    def open(self) -> None: ...
+    def close(self) -> None: ...
+
+
+DeviceT = TypeVar("DeviceT", bound=Device)
+ResultT = TypeVar("ResultT")
+
+
+class Keeper(Generic[DeviceT]):
+    """One device. After a failure it is closed and left alone for ``retry_first_s``, doubled up to ``retry_longest_s``.
+
+    An outage ends when the device has done something again, not when its port could be opened.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        device: DeviceT,
+        *,
+        retry_first_s: float,
+        retry_longest_s: float,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.device = device
+        self._first_s, self._longest_s, self._clock = retry_first_s, retry_longest_s, clock
+        self._outage = Outage(name, clock)
+        self._open = False
+        self._error: BridgeError | None = None
+        self._delay_s = retry_first_s
+        self._due_s = clock()
+        self._works_since_s: float | None = None
+
+    @property
+    def works(self) -> bool:
+        """Whether the last thing asked of the device was done."""
+        return self._works_since_s is not None
+
+    @property
+    def worked_s(self) -> float:
+        """For how long the device has worked without a failure, seconds."""
+        return 0.0 if self._works_since_s is None else self._clock() - self._works_since_s
+
+    @property
+    def due_s(self) -> float:
+        """When the device may be tried again, on the clock."""
+        return self._due_s
+
+    def use(self, work: Callable[[DeviceT], ResultT]) -> ResultT:
+        """Do ``work`` with the open device. Raises BridgeError; until the next try is due, the last one again."""
+        self.ready()
+        if self._error is not None:
+            raise self._error.with_traceback(None)
+        try:
+            result = work(self.device)
+        except BridgeError as error:
+            self._failed(error)
+            raise
+        self._worked()
+        return result
+
+    def ready(self) -> None:
+        """Open the device if it is closed and a try is due; a failure shows in :meth:`use`."""
+        if self._open or self._clock() < self._due_s:
+            return
+        try:
+            self.device.open()
+        except BridgeError as error:
+            self._failed(error)
+        else:
+            self._open, self._error = True, None
+
+    def close(self) -> None:
+        """Close the device for good, or until the next use."""
+        self._open, self._works_since_s = False, None
+        self.device.close()
+
+    def replace(self, device: DeviceT) -> None:
+        """Close the device and take another one in its place, to be opened at the next use."""
+        self.close()
+        self.device, self._error = device, None
+        self._delay_s, self._due_s = self._first_s, self._clock()
+
+    def _failed(self, error: BridgeError) -> None:
+        self._error = error
+        self._outage.begins(error)
+        self.close()
+        self._due_s = self._clock() + self._delay_s
+        self._delay_s = min(2 * self._delay_s, self._longest_s)
+
+    def _worked(self) -> None:
+        self._delay_s = self._first_s
+        if self._works_since_s is None:
+            self._works_since_s = self._clock()
+            self._outage.ends()

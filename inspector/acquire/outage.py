@@ -1,0 +1,34 @@
+"""Something that fails and works again: said in the log once when it starts and once when it ends."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+
+log = logging.getLogger(__name__)
+
+
+class Outage:
+    """The outages of one thing, named ``what`` in the log."""
+
+    def __init__(self, what: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self._what, self._clock = what, clock
+        self._since_s: float | None = None
+
+    @property
+    def lasts(self) -> bool:
+        """Whether it fails at present."""
+        return self._since_s is not None
+
+    def begins(self, complaint: object, *, traceback: bool = False) -> None:
+        """It failed; in an outage that lasts this says nothing new."""
+        if self._since_s is None:
+            self._since_s = self._clock()
+            log.error("%s fails: %s", self._what, complaint, exc_info=traceback)
+
+    def ends(self) -> None:
+        """It worked; says so if it did not before."""
+        if self._since_s is not None:
+            log.info("%s works again after %.1f s", self._what, self._clock() - self._since_s)
+            self._since_s = None

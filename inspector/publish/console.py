@@ -1,0 +1,55 @@
+"""What the service says on the terminal: how to poll it, and one line for each panel."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+
+import typer
+
+from inspector.faults import Fault
+from inspector.model import Snapshot, Verdict
+from inspector.publish.registers import RESULT_ADDRESS, RESULT_WORDS
+
+COLOURS = {Verdict.PASS: "green", Verdict.FAIL: "red", Verdict.NOT_INSPECTED: "yellow"}
+HEIGHTS_SHOWN = 8
+"""More heights than this are counted, not listed, so that a panel stays one line."""
+EVERY_ADDRESS = ("0.0.0.0", "::")
+
+
+def say(line: str) -> None:
+    """Print a line at once; colours only on a terminal. A reader that went away is no fault of the station's."""
+    try:
+        typer.echo(line)
+    except BrokenPipeError:
+        # What follows goes nowhere, and the interpreter's own flush at exit finds nothing to complain about.
+        with contextlib.suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def how_to_poll(host: str, port: int) -> str:
+    """Where the registers are, and the command line that reads the result block once."""
+    reachable = "127.0.0.1" if host in EVERY_ADDRESS else host
+    return (
+        f"Registers: Modbus TCP on {host}:{port}; `inspector registers` says what they mean. Read them with:\n"
+        f"  mbpoll -m tcp -0 -1 -t 4 -r {RESULT_ADDRESS} -c {RESULT_WORDS} -p {port} {reachable}"
+    )
+
+
+def panel_line(snapshot: Snapshot, name: str, texts: tuple[str, ...]) -> str:
+    """One panel: number, verdict, defects with their heights, time, frame, and why."""
+    verdict = typer.style(f"{snapshot.verdict.name:13}", fg=COLOURS[snapshot.verdict])
+    fault = next(fault for fault in Fault if fault == snapshot.fault_code)
+    why = texts or ((f"{fault.name}: {fault.meaning}",) if fault else ())
+    seen = f"{_defects(snapshot):44}  {snapshot.elapsed_us / 1000:7.2f} ms  {name}" if name else ""
+    return f"#{snapshot.sequence:<6} {verdict}  {'  '.join(filter(None, (seen, '; '.join(why))))}".rstrip()
+
+
+def _defects(snapshot: Snapshot) -> str:
+    heights = sorted((defect.height_um for defect in snapshot.defects), reverse=True)
+    if not heights:
+        return "no seeds"
+    listed = " ".join(f"{height:.0f}" for height in heights[:HEIGHTS_SHOWN])
+    more = " ..." if len(heights) > HEIGHTS_SHOWN else ""
+    return f"{len(heights)} seed{'s' if len(heights) > 1 else ''}: {listed}{more} um"

@@ -1,0 +1,107 @@
+"""What the registers show next, from what they showed last. Pure: the time comes from the caller.
+
+Every cycle ends in one result, and each result's sequence is one more than the last one's, whether the frame was
+inspected or there was none. A result that is NOT_INSPECTED shows nothing of the result before it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from inspector.faults import Fault
+from inspector.lifecycle import Event, after
+from inspector.model import Frame, FrameResult, Reason, Snapshot, Verdict
+
+FRAME_FAULTS = {
+    Reason.FRAME_UNREADABLE: Fault.CAMERA_FRAME_WRONG,
+    Reason.FRAME_WRONG_SHAPE: Fault.FRAME_WRONG_SHAPE,
+    Reason.FRAME_BLACK: Fault.FRAME_BLACK,
+    Reason.FRAME_OVERLIT: Fault.FRAME_OVERLIT,
+    Reason.TOO_MANY_HIGHLIGHTS: Fault.FRAME_OVERLIT,
+}
+"""Why a frame could not be judged -> the fault code shown with it."""
+
+FAULT_REASONS = {
+    Fault.LAMP_READBACK: Reason.LAMP_NOT_AS_SET,
+    Fault.LAMP_WARMING_UP: Reason.LAMP_NOT_AS_SET,
+    Fault.EXPOSURE_READBACK: Reason.EXPOSURE_NOT_AS_SET,
+}
+"""Reason bits of a cycle without a frame; DEVICE_FAULT where the code is not listed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """When a result is published (monotonic seconds), how long inspection and whole cycle took (microseconds)."""
+
+    now_s: float
+    elapsed_us: float
+    cycle_us: float
+
+
+def inspected(last: Snapshot, frame: Frame, result: FrameResult, times: Times) -> Snapshot:
+    """A frame was taken as asked, and this is what it says, which may be that it cannot be judged."""
+    reason = next((reason for reason in FRAME_FAULTS if reason in result.reasons), None)
+    unjudged = result.verdict is Verdict.NOT_INSPECTED
+    shown = replace(
+        last,
+        state=after(last.state, Event.RECOVERED, Event.PREPARED, Event.STARTED_CONTINUOUS),
+        fault_code=FRAME_FAULTS[reason] if reason and unjudged else Fault.NONE,
+        acquisition_id=frame.frame_id,
+        reasons=result.reasons,
+        defects=result.defects,
+        unpaired_count=len(result.unpaired),
+        elapsed_us=times.elapsed_us,
+        lamp_read_v=frame.lamp_v or 0.0,
+        exposure_us=frame.exposure_us or 0.0,
+        lamp_ok=True,
+        camera_ok=True,
+    )
+    return _counted(shown, result.verdict, times)
+
+
+def not_inspected(last: Snapshot, fault: Fault, times: Times) -> Snapshot:
+    """A cycle ended without a frame that may be inspected, because of ``fault``."""
+    # A lamp that warms up is no error: the station is not ready yet.
+    events = (Event.FAULT, Event.RECOVERED) if fault is Fault.LAMP_WARMING_UP else (Event.FAULT,)
+    shown = replace(
+        last,
+        state=after(last.state, *events),
+        fault_code=fault,
+        reasons=FAULT_REASONS.get(fault, Reason.DEVICE_FAULT),
+        defects=(),
+        unpaired_count=0,
+        elapsed_us=0.0,
+        lamp_read_v=0.0,
+        exposure_us=0.0,
+    )
+    return _counted(shown, Verdict.NOT_INSPECTED, times)
+
+
+def stopped(last: Snapshot) -> Snapshot:
+    """The service is going off: nobody stands behind the last verdict any more."""
+    return replace(
+        last,
+        state=after(last.state, Event.HALTED),
+        verdict=Verdict.NOT_INSPECTED,
+        reasons=Reason(0),
+        defects=(),
+        unpaired_count=0,
+        lamp_read_v=0.0,
+        lamp_ok=False,
+        camera_ok=False,
+    )
+
+
+def _counted(shown: Snapshot, verdict: Verdict, times: Times) -> Snapshot:
+    """The snapshot as a result of its own: verdict, next sequence, count, times."""
+    return replace(
+        shown,
+        verdict=verdict,
+        sequence=shown.sequence + 1,
+        panel_id=shown.panel_id + 1,
+        panels_passed=shown.panels_passed + (verdict is Verdict.PASS),
+        panels_failed=shown.panels_failed + (verdict is Verdict.FAIL),
+        panels_not_inspected=shown.panels_not_inspected + (verdict is Verdict.NOT_INSPECTED),
+        result_at_s=times.now_s,
+        cycle_us=times.cycle_us,
+    )
