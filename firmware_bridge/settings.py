@@ -18,7 +18,7 @@ from pydantic import (
 )
 
 from firmware_bridge.wire import lamp_curve
-from firmware_bridge.wire.profiles import PROFILES, LinkKind, Profile
+from firmware_bridge.wire.profiles import PROFILES, Profile
 
 
 class Strict(BaseModel):
@@ -99,7 +99,7 @@ class ModuleSettings(Strict):
     @classmethod
     def _profile_has_link(cls, link: ModuleLink, info: ValidationInfo) -> ModuleLink:
         profile = _profile_of(info)
-        if profile and link.kind == "serial" and LinkKind.SERIAL not in profile.links:
+        if profile and link.kind == "serial" and not profile.has_serial:
             raise ValueError(f"{profile.name} has no serial line; use kind tcp")
         return link
 

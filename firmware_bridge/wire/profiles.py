@@ -137,6 +137,11 @@ class Profile:
     unconfirmed: tuple[str, ...] = ()
     """What no manual at hand confirms, and what it rests on."""
 
+    @property
+    def has_serial(self) -> bool:
+        """True if the module has a serial line (Modbus RTU); else it has TCP only."""
+        return LinkKind.SERIAL in self.links
+
     def output_of(self, channel: int) -> Point:
         """Where a channel's level is written."""
         return self.output.plus(channel)
