@@ -9,6 +9,7 @@ subtracted with their own latest model, so that interleaved and touching spots s
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +29,10 @@ STEEP_SHARE = 0.1
 """A background slope of this share of the peak a pixel is already unlikely."""
 TANGLED_PX = 6
 """Spots nearer than this along both axes are solved together; others settle by taking turns."""
+TANGLE_DAMPING = 0.1
+"""Levenberg's damping of a tangle's steps, as a share of the diagonal."""
+BLUR_TURNS = (1, 3, 6)
+"""Rounds at which the usual blur is taken from the typical spots as they stand."""
 PARAMETERS, SHAPE = 9, 6
 X, Y, LOG_PEAK, SXX, SXY, SYY, BACKGROUND, SLOPE_X, SLOPE_Y = range(PARAMETERS)
 
@@ -47,6 +52,16 @@ class Windows:
     dx: FloatArray
     dy: FloatArray
     centre_px: FloatArray
+
+    @cached_property
+    def plane(self) -> FloatArray:
+        """Derivatives (3, p) of the background by its level and slopes."""
+        return np.stack([np.ones_like(self.dx), self.dx, self.dy])
+
+    @cached_property
+    def clips(self) -> bool:
+        """Whether any pixel is clipped."""
+        return bool(self.clipped.any())
 
 
 @dataclass(frozen=True)
@@ -68,11 +83,13 @@ class Fitted:
 
 def profile(theta: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The spots' Gaussians at offsets x, y (n, p): values (n, p) DN, and Sigma^-1 d as two (n, p) arrays."""
-    sxx, sxy, syy = (theta[:, i, None] for i in (SXX, SXY, SYY))
+    sxx, sxy, syy = theta[:, SXX, None], theta[:, SXY, None], theta[:, SYY, None]
     det = sxx * syy - sxy * sxy
+    a, b, d = syy / det, sxy / det, sxx / det
     ex, ey = x - theta[:, X, None], y - theta[:, Y, None]
-    ux, uy = (syy * ex - sxy * ey) / det, (sxx * ey - sxy * ex) / det
-    return np.exp(np.minimum(theta[:, LOG_PEAK, None] - 0.5 * (ux * ex + uy * ey), 40.0)), ux, uy
+    ux, uy = a * ex - b * ey, d * ey - b * ex
+    exponent = theta[:, LOG_PEAK, None] - 0.5 * (ux * ex + uy * ey)
+    return np.exp(np.minimum(exponent, 40.0, out=exponent), out=exponent), ux, uy
 
 
 def neighbours(centres: FloatArray, reach_px: float) -> tuple[IntArray, IntArray]:
@@ -96,35 +113,45 @@ def fit(windows: Windows, start: FloatArray, typical: npt.NDArray[np.bool_], rea
     i, j = neighbours(w.centre_px, reach_px)
     between = w.centre_px[i] - w.centre_px[j]
     tangles = _tangles(w.centre_px, i, j)
-    for _ in range(ROUNDS):
-        if typical.any():
+    for turn in range(ROUNDS):
+        if turn in BLUR_TURNS and typical.any() and not typical.all():
             expected[~typical, SXX : SYY + 1] = np.median(theta[typical, SXX : SYY + 1], axis=0)
         residual, jacobian = _linearise(theta, w, i, j, between)
         weighted = jacobian * weight[:, None, :]
         normal = weighted @ jacobian.transpose(0, 2, 1)
-        normal[:, range(PARAMETERS), range(PARAMETERS)] += prior + 1e-9 * normal[:, range(PARAMETERS), range(PARAMETERS)]
-        gradient = np.einsum("nkp,np->nk", weighted, residual) - prior * (theta - expected)
-        step = np.linalg.solve(normal, gradient[..., None])[..., 0]
+        diagonal = np.einsum("nkk->nk", normal)
+        diagonal += prior + 1e-9 * diagonal
+        gradient = (weighted @ residual[:, :, None])[:, :, 0] - prior * (theta - expected)
+        step = np.linalg.solve(normal, gradient[:, :, None])[:, :, 0]
         for tangle in tangles:
             step[tangle] = _joint_step(theta, w, weighted, normal, gradient, tangle)
-        step = _limited(step, theta)
-        theta += step
+        theta += _limited(step, theta)
         if np.abs(step[:, :2]).max(initial=0.0) < SETTLED_PX:
             break
-    residual, jacobian = _linearise(theta, w, i, j, between)
-    chi2 = np.sum(weight * residual**2, axis=1) / np.maximum((w.usable & ~w.clipped).sum(axis=1) - PARAMETERS, 1)
-    excess = residual * np.sqrt(weight)
-    worst = excess.argmax(axis=1)
-    covariance = np.linalg.inv(normal)[:, :2, :2]
+    return _report(theta, w, weight, normal, *_linearise(theta, w, i, j, between))
+
+
+def _report(
+    theta: FloatArray,
+    w: Windows,
+    weight: FloatArray,
+    normal: FloatArray,
+    residual: FloatArray,
+    jacobian: FloatArray,
+) -> Fitted:
+    """What the fit found, with each spot's misfit."""
+    deviations = residual * np.sqrt(weight)
+    worst = deviations.argmax(axis=1)
+    freedom = np.maximum((w.usable & ~w.clipped).sum(axis=1) - PARAMETERS, 1)
     return Fitted(
         xy_px=w.centre_px + theta[:, :2],
-        covariance_px2=covariance,
+        covariance_px2=np.linalg.inv(normal)[:, :2, :2],
         peak_dn=np.exp(theta[:, LOG_PEAK]),
-        blur_px2=theta[:, (SXX, SXY, SYY)],
-        chi2=chi2,
+        blur_px2=theta[:, SXX : SYY + 1],
+        chi2=(deviations * deviations).sum(axis=1) / freedom,
         background_dn=theta[:, BACKGROUND],
         misfit_px=w.centre_px + np.column_stack([w.dx[worst], w.dy[worst]]),
-        misfit_sigma=excess[np.arange(len(theta)), worst],
+        misfit_sigma=deviations[np.arange(len(theta)), worst],
     )
 
 
@@ -145,38 +172,46 @@ def _joint_step(
     k = len(tangle)
     system = np.zeros((k, PARAMETERS, k, PARAMETERS))
     for a, i in enumerate(tangle):
-        system[a, :, a] = normal[i]
+        system[a, :, a] = normal[i] + TANGLE_DAMPING * np.diag(np.diag(normal[i]))
         others = np.delete(np.arange(k), a)
         between = w.centre_px[i] - w.centre_px[tangle[others]]
         spot, ux, uy = profile(theta[tangle[others]], w.dx + between[:, :1], w.dy + between[:, 1:])
-        system[a][:, others, :SHAPE] = np.einsum("kp,nmp->knm", weighted[i], _derivatives(spot, ux, uy))
+        derivatives = np.empty((k - 1, SHAPE, len(w.dx)))
+        _derivatives(spot, ux, uy, derivatives)
+        system[a][:, others, :SHAPE] = (derivatives @ weighted[i].T).transpose(2, 0, 1)
     step = np.linalg.lstsq(
         system.reshape(k * PARAMETERS, -1), gradient[tangle].reshape(-1), rcond=1e-12
     )[0]
     return step.reshape(k, PARAMETERS)
 
 
-def _derivatives(spot: FloatArray, ux: FloatArray, uy: FloatArray) -> FloatArray:
-    """Derivatives (n, 6, p) of the spots' Gaussians by position, log peak and blur."""
-    return np.stack([spot * ux, spot * uy, spot, 0.5 * spot * ux * ux, spot * ux * uy, 0.5 * spot * uy * uy], axis=1)
+def _derivatives(spot: FloatArray, ux: FloatArray, uy: FloatArray, out: FloatArray) -> None:
+    """Derivatives of the spots' Gaussians by position, log peak and blur, into ``out`` (n, 6 or more, p)."""
+    sx, sy = spot * ux, spot * uy
+    out[:, X], out[:, Y], out[:, LOG_PEAK] = sx, sy, spot
+    np.multiply(sx, ux, out=out[:, SXX])
+    np.multiply(sx, uy, out=out[:, SXY])
+    np.multiply(sy, uy, out=out[:, SYY])
+    out[:, SXX] *= 0.5
+    out[:, SYY] *= 0.5
 
 
 def _linearise(
     theta: FloatArray, w: Windows, i: IntArray, j: IntArray, between: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Residual (n, p) and the model's derivatives (n, 9, p)."""
+    jacobian = np.empty((len(theta), PARAMETERS, w.light.shape[1]))
     spot, ux, uy = profile(theta, w.dx, w.dy)
-    flat = theta[:, BACKGROUND, None] + theta[:, SLOPE_X, None] * w.dx + theta[:, SLOPE_Y, None] * w.dy
-    residual = w.light - spot - flat
+    _derivatives(spot, ux, uy, jacobian)
+    jacobian[:, BACKGROUND:] = w.plane
+    residual = w.light - spot - theta[:, BACKGROUND:] @ w.plane
     if len(i):
         other, _, _ = profile(theta[j], w.dx + between[:, :1], w.dy + between[:, 1:])
         np.subtract.at(residual, i, other)
-    met = w.clipped & (residual < 0)
-    residual[met] = 0.0
-    jacobian = np.empty((len(theta), PARAMETERS, w.light.shape[1]))
-    jacobian[:, :SHAPE] = _derivatives(spot, ux, uy)
-    jacobian[:, BACKGROUND], jacobian[:, SLOPE_X], jacobian[:, SLOPE_Y] = 1.0, w.dx, w.dy
-    jacobian.transpose(0, 2, 1)[met] = 0.0
+    if w.clips:
+        met = w.clipped & (residual < 0)
+        residual[met] = 0.0
+        jacobian.transpose(0, 2, 1)[met] = 0.0
     return residual, jacobian
 
 
@@ -192,8 +227,9 @@ def _prior(start: FloatArray, typical: npt.NDArray[np.bool_]) -> FloatArray:
 
 def _limited(step: FloatArray, theta: FloatArray) -> FloatArray:
     """Keep a round's step where the linear model can be believed: half a pixel, a factor e, a third of the blur."""
-    step[:, :2] = np.clip(step[:, :2], -0.5, 0.5)
-    step[:, LOG_PEAK] = np.clip(step[:, LOG_PEAK], -1.0, 1.0)
-    blur = 0.3 * np.minimum(theta[:, SXX], theta[:, SYY])[:, None]
-    step[:, SXX : SYY + 1] = np.clip(step[:, SXX : SYY + 1], -blur, blur)
+    bound = np.empty((len(step), SHAPE))
+    bound[:, :LOG_PEAK] = 0.5
+    bound[:, LOG_PEAK] = 1.0
+    bound[:, SXX:] = 0.3 * np.minimum(theta[:, SXX], theta[:, SYY])[:, None]
+    step[:, :SHAPE] = np.minimum(np.maximum(step[:, :SHAPE], -bound), bound)
     return step

@@ -112,7 +112,7 @@ def _lit(image: Image, detection: Detection, sensor: Sensor, ground: Background)
             Reason.TOO_MANY_HIGHLIGHTS,
             f"{count} highlights, more than max_highlights ({detection.max_highlights}): clean or shield the panel",
         )
-    return Lit(rows, columns, image[rows, columns].astype(np.float64), component, count, threshold)
+    return Lit(rows, columns, image[rows, columns].astype(np.float64), component, count, threshold, image.shape[1])
 
 
 def _measured(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from inspector.detect.lit import Lit, components
 from inspector.model import FloatArray, Image, IntArray
@@ -13,10 +14,15 @@ BLOOM_PX, BLOOM_LEAST_PX = 0.75, 2
 """Lobes longer by this much along one axis, on average, and one by so many pixels, tell of charge running over."""
 LOBE_BLUR_PX, LOBE_REACH_PX = 0.8, 2
 """Saturated plateaus are blurred by this to show their lobes; the kernel's half size."""
+SINGLE_PX = 4
+"""Plateaus no longer than this are one spot's."""
 PARTED_PX = 2.5
 """Runs of one spot have one middle; two that differ by more belong to two."""
 SADDLE_SHARE = 0.965
 """Two lobes are two only where the blurred grey value between them falls below this share of the lower."""
+
+AROUND = np.array([(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)])
+"""Row and column steps to the eight neighbours; the first four come earlier in row-major order."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,9 @@ def _lobes(image: Image, rows: IntArray, columns: IntArray, saturated_dn: float)
     if len(rows) == 0:
         return np.empty(0, np.intp)
     plateau = components(rows, columns, image.shape[1])
+    count = int(plateau.max()) + 1
+    if max(_extent(plateau, rows, count).max(), _extent(plateau, columns, count).max()) <= SINGLE_PX:
+        return plateau
     blurred = _blurred(image, rows, columns, saturated_dn)
     tops = _tops(rows, columns, blurred)
     at = np.column_stack([rows, columns]).astype(np.float64)
@@ -169,14 +178,19 @@ def _blind(rows: IntArray, columns: IntArray, tall: FloatArray, wide: FloatArray
 def _local_maxima(image: Image, lit: Lit, saturated_dn: float) -> IntArray:
     """Indices into ``lit`` of unsaturated pixels that no neighbour outshines; equals go to the first."""
     height, width = image.shape
-    best = lit.grey_dn < saturated_dn
-    for dr in (-1, 0, 1):
-        for dc in (-1, 0, 1):
-            if dr == dc == 0:
-                continue
-            r, c = lit.rows + dr, lit.columns + dc
-            inside = (r >= 0) & (r < height) & (c >= 0) & (c < width)
-            other = np.where(inside, image[np.clip(r, 0, height - 1), np.clip(c, 0, width - 1)], 0)
-            earlier = dr < 0 or (dr == 0 and dc < 0)
-            best &= (lit.grey_dn > other if earlier else lit.grey_dn >= other) & (other < saturated_dn)
-    return np.flatnonzero(best)
+    dim = np.flatnonzero(lit.grey_dn < saturated_dn)
+    rows = np.minimum(np.maximum(lit.rows[dim, None] + AROUND[:, 0], 0), height - 1)
+    columns = np.minimum(np.maximum(lit.columns[dim, None] + AROUND[:, 1], 0), width - 1)
+    other = image[rows, columns]
+    most = other.max(axis=1)
+    grey = lit.grey_dn[dim]
+    # Beyond the border a pixel is compared with itself or its own neighbours: never stricter than the rule.
+    best = (grey >= most) & (most < saturated_dn) & (grey > other[:, :4].max(axis=1, initial=0, where=_inside(lit, dim)))
+    return dim[best]
+
+
+def _inside(lit: Lit, dim: IntArray) -> npt.NDArray[np.bool_]:
+    """Which of the four earlier neighbours (n, 4) lie in the image; the width does not matter for the last column."""
+    first_row, first_column = lit.rows[dim, None] == 0, lit.columns[dim, None] == 0
+    last_column = lit.columns[dim, None] == lit.width - 1
+    return ~np.concatenate([first_row | first_column, first_row, first_row | last_column, first_column], axis=1)
