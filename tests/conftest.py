@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any
 import pytest
 
 DATA = Path(__file__).parent / "data"
+PEERS = Path(__file__).parent / "peers"
 PEER_MISSING = "peer missing"
 
 
@@ -48,6 +50,25 @@ def peer() -> Callable[[str, str], str]:
         return path
 
     return find
+
+
+@pytest.fixture(scope="session")
+def compiled_peer(peer: Callable[[str, str], str], tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], str]:
+    """``compiled_peer(name)``: the path of ``peers/name.c``, compiled against libmodbus; skipped by name without it."""
+    folder = tmp_path_factory.mktemp("peers")
+
+    def compile_once(name: str) -> str:
+        compiler = peer("gcc", "gcc libc6-dev")
+        headers = Path("/usr/include/modbus")
+        if not headers.is_dir():
+            pytest.skip(f"{PEER_MISSING}: libmodbus (apt install libmodbus-dev)")
+        program, source = folder / name, PEERS / f"{name}.c"
+        if not program.exists():
+            command = [compiler, "-O2", "-Wall", "-Werror", f"-I{headers}", str(source), "-o", str(program), "-lmodbus"]
+            subprocess.run(command, check=True, timeout=60)
+        return str(program)
+
+    return compile_once
 
 
 @pytest.hookimpl(wrapper=True)

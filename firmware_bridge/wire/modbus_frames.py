@@ -11,9 +11,10 @@ import struct
 
 from firmware_bridge.wire.modbus import MEI_DEVICE_IDENTIFICATION, Slave
 
-MBAP = struct.Struct(">HHHB")
-"""Transaction, protocol (0), length of what follows the length field, unit."""
-MBAP_PREFIX_BYTES = 6
+_PREFIX = struct.Struct(">HHH")
+"""Transaction, protocol (0), length of all that follows: unit and PDU."""
+_MBAP = struct.Struct(">HHHB")
+"""The same, and the unit."""
 MIN_MBAP_LENGTH, MAX_MBAP_LENGTH = 2, 254
 
 MAX_RTU_BYTES = 256
@@ -36,17 +37,18 @@ class TcpSession:
         stream = self._pending + data if self._pending else data
         answers = []
         start, end = 0, len(stream)
-        while end - start >= MBAP.size:
-            transaction, protocol, length, unit = MBAP.unpack_from(stream, start)
+        while end - start >= _PREFIX.size:
+            transaction, protocol, length = _PREFIX.unpack_from(stream, start)
             if protocol or not MIN_MBAP_LENGTH <= length <= MAX_MBAP_LENGTH:
                 self.broken = f"not Modbus TCP: protocol id {protocol}, length {length}"
                 start = end
                 break
-            following = start + MBAP_PREFIX_BYTES + length
+            following = start + _PREFIX.size + length
             if following > end:
                 break
-            pdu = self._slave.answer(unit, stream[start + MBAP.size : following])
-            answers.append(MBAP.pack(transaction, 0, len(pdu) + 1, unit) + pdu)
+            unit = stream[start + _PREFIX.size]
+            pdu = self._slave.answer(unit, stream[start + _MBAP.size : following])
+            answers.append(_MBAP.pack(transaction, 0, len(pdu) + 1, unit) + pdu)
             start = following
         self._pending = stream[start:]
         return answers[0] if len(answers) == 1 else b"".join(answers)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import logging
+import os
 import socket
 import threading
 import time
@@ -265,8 +266,9 @@ def _listen(host: str, port: int) -> socket.socket:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         return socket.create_server((host, port), family=family, backlog=128)
     except OSError as error:
-        reason = f"PLC server cannot listen on {host}:{port}: {error.strerror or error}"
-        raise PlcServerError(f"{reason}; {_remedy(error, port)}") from error
+        reason = os.strerror(error.errno) if error.errno and error.errno > 0 else error.strerror
+        message = f"PLC server cannot listen on {host}:{port}: {reason}; {_remedy(error, port)}"
+        raise PlcServerError(message) from error
 
 
 def _remedy(error: OSError, port: int) -> str:
