@@ -16,6 +16,8 @@ app = typer.Typer(
 )
 config_app = typer.Typer(help="Check, show and document settings.", no_args_is_help=True)
 app.add_typer(config_app, name="config")
+simulate_app = typer.Typer(help="Simulated devices, to try PLC and settings without hardware.", no_args_is_help=True)
+app.add_typer(simulate_app, name="simulate-device")
 
 
 class RegisterFormat(enum.StrEnum):
@@ -27,7 +29,37 @@ class RegisterFormat(enum.StrEnum):
     MARKDOWN = "markdown"
 
 
+class ResultFormat(enum.StrEnum):
+    """Forms of inspection results."""
+
+    JSONL = "jsonl"
+    CSV = "csv"
+    TABLE = "table"
+
+
+class Method(enum.StrEnum):
+    """How heights are computed."""
+
+    EXACT = "exact"
+    THESIS = "thesis"
+
+
 ConfigFile = Annotated[Path, typer.Argument(help="Settings file, YAML.")]
+
+
+@app.command()
+def inspect(
+    frames: Annotated[list[str], typer.Argument(help="Frames: PNG, TIFF, BMP, PGM or .npy, grey, 8 or 16 bits.")],
+    calibration: Annotated[Path, typer.Option(help="The camera's calibration file.")],
+    recipe: Annotated[Path | None, typer.Option(help="Detection and limits, YAML; defaults where left out.")] = None,
+    method: Annotated[Method | None, typer.Option(help="How heights are computed; default: the recipe's.")] = None,
+    format: Annotated[ResultFormat, typer.Option(help="How results are printed.")] = ResultFormat.JSONL,
+    overlay: Annotated[Path | None, typer.Option(help="Folder for a picture of each result.")] = None,
+) -> None:
+    """Inspect frames from files. Exit status: 0 all inspected, 1 some not inspected, 2 nothing could be done."""
+    from inspector import inspect_files
+
+    raise typer.Exit(inspect_files.run(frames, calibration, recipe, method, format, overlay))
 
 
 @app.command()
@@ -80,6 +112,16 @@ def calibrate(
         picture = overlay or output.with_suffix(".overlay.png")
         command.save(output, outcome, geometry, picture)
         typer.echo(f"{command.report(outcome)}\n\ncalibration: {output}\npicture:     {picture}")
+
+
+@simulate_app.command(
+    "module", context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
+)
+def simulate_module(context: typer.Context) -> None:
+    """An I/O module of any profile behind a pseudo-terminal; --help for its options."""
+    from firmware_bridge.simulators import module
+
+    module.main(context.args, context.command_path)
 
 
 def main() -> None:

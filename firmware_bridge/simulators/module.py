@@ -30,9 +30,12 @@ def run(
 ) -> None:
     """Print the address and serve until SIGTERM or SIGINT, or (``with_parent``) until standard input is closed.
 
-    A profile that has no serial line is served over TCP. Raises FileExistsError if ``symlink`` is a file's name.
+    A profile that has no serial line is served over TCP. Raises FileExistsError if ``symlink`` is a file's name,
+    ValueError if there is nothing for it to point to.
     """
     row = PROFILES[profile]
+    if symlink and not row.has_serial:
+        raise ValueError(f"--symlink: {profile} has no serial line to name; it is served over TCP")
     module = SimulatedModule(row, time.monotonic)
     server = ModuleServer(module, unit, tcp=not row.has_serial, symlink=symlink)
     server.fault, server.fault_after, server.fault_count = fault, fault_after, fault_count
@@ -49,17 +52,24 @@ def _end(number: int, frame: FrameType | None) -> None:
     raise SystemExit(0)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Parse a command line and run."""
-    parser = argparse.ArgumentParser(description="A simulated I/O module behind a pseudo-terminal or a TCP port.")
-    parser.add_argument("--profile", choices=list(PROFILES), required=True)
-    parser.add_argument("--unit", type=int, default=1)
-    parser.add_argument("--symlink", type=Path)
-    parser.add_argument("--fault", type=WireFault, choices=list(WireFault), default=WireFault.NONE)
-    parser.add_argument("--fault-after", type=int, default=0)
-    parser.add_argument("--fault-count", type=int)
+def main(arguments: Sequence[str] | None = None, program: str | None = None) -> None:
+    """Parse a command line (None: this process') and run; wrong options end the process with status 2."""
+    parser = argparse.ArgumentParser(
+        prog=program, description="A simulated I/O module: prints its pseudo-terminal or host:port, then serves it."
+    )
+    parser.add_argument("--profile", choices=list(PROFILES), required=True, help="which module it is")
+    parser.add_argument("--unit", type=int, choices=range(1, 248), metavar="1-247", default=1, help="Modbus unit id")
+    parser.add_argument("--symlink", type=Path, metavar="PATH", help="name to give the pseudo-terminal")
+    faults = [fault.value for fault in WireFault]
+    parser.add_argument("--fault", choices=faults, default=WireFault.NONE.value, help="what goes wrong with answers")
+    parser.add_argument("--fault-after", type=int, metavar="N", default=0, help="only after so many right answers")
+    parser.add_argument("--fault-count", type=int, metavar="N", help="only for so many answers; default: for ever")
     parser.add_argument("--with-parent", action="store_true", help="end when standard input is closed")
-    run(**vars(parser.parse_args(arguments)))
+    options = vars(parser.parse_args(arguments))
+    try:
+        run(**options | {"fault": WireFault(options["fault"])})
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
 
 
 if __name__ == "__main__":
