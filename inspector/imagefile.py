@@ -24,10 +24,11 @@ KINDS_TEXT = "PNG, TIFF, BMP, PGM or .npy"
 
 
 class FrameUnreadable(Exception):
-    """The file holds no grey frame. The message names the file and the remedy."""
+    """The file holds no grey frame. The message names the file, ``sentence`` the problem and the remedy."""
 
     def __init__(self, path: Path, problem: str, remedy: str) -> None:
-        super().__init__(f"{path}: {problem}; {remedy}")
+        self.sentence = f"{problem}; {remedy}"
+        super().__init__(f"{path}: {self.sentence}")
 
 
 def read(path: Path) -> Image:
