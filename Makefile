@@ -25,6 +25,10 @@ lint: setup  ## Style, types and import rules.
 
 check: lint test  ## All that CI runs.
 
+docs: $(VENV)/run.stamp  ## Write again what is generated from the code.
+	$(BIN)/inspector registers --format markdown > deploy/plc/registers.md
+	$(BIN)/inspector registers --format csv > deploy/plc/registers.csv
+
 lock: $(BIN)/python  ## Choose new releases of the dependencies, with their hashes.
 	$(PYTHON) -m venv build/lock && build/lock/bin/pip install --quiet uv
 	echo 'setuptools>=77' | build/lock/bin/$(COMPILE) -o requirements.txt pyproject.toml -

@@ -104,9 +104,8 @@ class PlcServer:
     def publish(self, snapshot: Snapshot) -> None:
         """Serve this from now on, whole. Counts as a beat."""
         with self._lock:
-            self._snapshot = snapshot
             self._beat_s = time.monotonic()
-            self._swap()
+            self._swap(snapshot)
 
     def beat(self) -> None:
         """The cycle is alive; to be called each turn."""
@@ -139,18 +138,26 @@ class PlcServer:
             log.warning("PLC client %s refused: it %s", peer, why)
 
     def _refresh(self) -> None:
+        """Bring age, heartbeat and the stall up to date."""
         with self._lock:
-            self._swap()
+            self._swap(self._snapshot)
 
-    def _swap(self) -> None:
+    def _swap(self, snapshot: Snapshot) -> None:
         """Build the image aside and put it in place; only under the lock, so that an older one never follows."""
         now_s = time.monotonic()
         stalled = now_s - self._beat_s > self._stall_after_s
         if stalled is not self._stalled:
-            self._stalled = stalled
-            log.error("Inspection cycle stalled") if stalled else log.info("Inspection cycle runs again")
-        snapshot = as_stalled(self._snapshot) if stalled else self._snapshot
-        self._registers.image = encode_image(snapshot, now_s, int(now_s - self._started_s), self._word_order)
+            self._note_stall(stalled)
+        shown = as_stalled(snapshot) if stalled else snapshot
+        self._registers.image = encode_image(shown, now_s, int(now_s - self._started_s), self._word_order)
+        self._snapshot = snapshot
+
+    def _note_stall(self, stalled: bool) -> None:
+        self._stalled = stalled
+        if stalled:
+            log.error("Inspection cycle has not turned for %g s: the PLC is told", self._stall_after_s)
+        else:
+            log.info("Inspection cycle turns again")
 
     async def _serve(self, listener: socket.socket) -> None:
         self._loop = asyncio.get_running_loop()
