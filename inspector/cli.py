@@ -124,6 +124,53 @@ def simulate_module(context: typer.Context) -> None:
     module.main(context.args, context.command_path)
 
 
+@app.command()
+def run(
+    config: Annotated[Path, typer.Option(help="Settings file, YAML.")],
+    panels: Annotated[int | None, typer.Option(min=1, help="Stop after so many results.")] = None,
+    duration_s: Annotated[float | None, typer.Option(min=0, help="Stop after so many seconds.")] = None,
+) -> None:
+    """Inspect panels and serve the results until SIGTERM or Ctrl-C; SIGHUP reads the settings again.
+
+    Exit status: 0 stopped as asked, 69 the PLC port is taken, 78 the settings are refused.
+    """
+    from inspector import daemon
+
+    raise typer.Exit(daemon.run(config, daemon.Limits(panels, duration_s)))
+
+
+@app.command()
+def states() -> None:
+    """Print the manual's page on the station's states."""
+    from inspector import lifecycle
+
+    typer.echo(lifecycle.markdown(), nl=False)
+
+
+@config_app.command()
+def check(file: ConfigFile) -> None:
+    """Say everything that is wrong with a settings file; exit status 1 if anything is."""
+    from inspector import settings_commands
+
+    raise typer.Exit(settings_commands.check(file))
+
+
+@config_app.command()
+def schema() -> None:
+    """Print the JSON schema of settings, for editors and for people."""
+    from inspector import settings_commands
+
+    typer.echo(settings_commands.schema(), nl=False)
+
+
+@config_app.command()
+def show(file: ConfigFile) -> None:
+    """Print settings as they are understood, defaults filled in; exit status 1 if they are refused."""
+    from inspector import settings_commands
+
+    raise typer.Exit(settings_commands.show(file))
+
+
 def main() -> None:
     """Entry point of the `inspector` command."""
     app()

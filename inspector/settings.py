@@ -83,7 +83,7 @@ class CycleSettings(Strict):
     """How far the exposure read back may be from the one asked for, as a share of it."""
     retry_first_s: float = Field(0.1, gt=0, le=60)
     """A failed device is tried again after this time, seconds; each further failure doubles it."""
-    retry_longest_s: float = Field(5.0, gt=0, le=600)
+    retry_longest_s: float = Field(2.0, gt=0, le=600)
     """The longest time between two tries, seconds."""
 
 

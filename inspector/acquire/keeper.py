@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from firmware_bridge.errors import BridgeError
@@ -19,31 +20,32 @@ class Device(Protocol):
     def close(self) -> None: ...
 
 
+@dataclass(frozen=True, slots=True)
+class Retry:
+    """After a failure a device is left alone for ``first_s``, doubled with each further failure up to ``longest_s``."""
+
+    first_s: float
+    longest_s: float
+
+
 DeviceT = TypeVar("DeviceT", bound=Device)
 ResultT = TypeVar("ResultT")
 
 
 class Keeper(Generic[DeviceT]):
-    """One device. After a failure it is closed and left alone for ``retry_first_s``, doubled up to ``retry_longest_s``.
+    """One device, closed after a failure and opened again as ``retry`` says.
 
     An outage ends when the device has done something again, not when its port could be opened.
     """
 
     def __init__(
-        self,
-        name: str,
-        device: DeviceT,
-        *,
-        retry_first_s: float,
-        retry_longest_s: float,
-        clock: Callable[[], float] = time.monotonic,
+        self, name: str, device: DeviceT, retry: Retry, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self.device = device
-        self._first_s, self._longest_s, self._clock = retry_first_s, retry_longest_s, clock
+        self.device, self.retry, self._clock = device, retry, clock
         self._outage = Outage(name, clock)
         self._open = False
         self._error: BridgeError | None = None
-        self._delay_s = retry_first_s
+        self._delay_s = retry.first_s
         self._due_s = clock()
         self._works_since_s: float | None = None
 
@@ -95,17 +97,17 @@ class Keeper(Generic[DeviceT]):
         """Close the device and take another one in its place, to be opened at the next use."""
         self.close()
         self.device, self._error = device, None
-        self._delay_s, self._due_s = self._first_s, self._clock()
+        self._delay_s, self._due_s = self.retry.first_s, self._clock()
 
     def _failed(self, error: BridgeError) -> None:
         self._error = error
         self._outage.begins(error)
         self.close()
         self._due_s = self._clock() + self._delay_s
-        self._delay_s = min(2 * self._delay_s, self._longest_s)
+        self._delay_s = min(2 * self._delay_s, self.retry.longest_s)
 
     def _worked(self) -> None:
-        self._delay_s = self._first_s
+        self._delay_s = self.retry.first_s
         if self._works_since_s is None:
             self._works_since_s = self._clock()
             self._outage.ends()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sys
 
@@ -22,10 +21,9 @@ def say(line: str) -> None:
     """Print a line at once; colours only on a terminal. A reader that went away is no fault of the station's."""
     try:
         typer.echo(line)
-    except BrokenPipeError:
+    except OSError:
         # What follows goes nowhere, and the interpreter's own flush at exit finds nothing to complain about.
-        with contextlib.suppress(OSError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def how_to_poll(host: str, port: int) -> str:
