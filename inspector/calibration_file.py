@@ -198,33 +198,47 @@ class PointResidual(_Finite):
     """One point of a fit: where it is, where it was seen, and by how much that is off its prediction."""
 
     world_mm: Vector
+    """The point in the world, mm."""
     seen_px: Annotated[list[float], Field(min_length=2, max_length=2)]
+    """Where it was seen, pixels."""
     residual_px: Annotated[list[float], Field(min_length=2, max_length=2)]
+    """Seen less predicted, pixels."""
 
 
 class Residuals(_Finite):
     """Key ``residuals``: what the fit left over; kept for people, not used."""
 
     method: Literal["reprojection", "tsai"]
+    """How the camera was fitted."""
     mean_px: float
+    """Mean distance between seen and predicted, pixels."""
     rms_px: float
+    """Root mean square of that distance, pixels."""
     largest_px: float
+    """Largest of those distances, pixels."""
     points: list[PointResidual]
+    """Every point of the fit."""
 
 
 class CalibrationFile(_Finite):
     """A whole calibration file, version 1."""
 
     version: Literal[1]
+    """Version of the file's form."""
     camera: CameraEntry
+    """The camera, its lens and where it stands."""
     light: LightEntry
+    """Where the lamp is."""
     view_angle_deg: float | None = Field(None, gt=0, lt=90)
     """Nominal view angle beta that the thesis' method uses, degrees; null: the camera's own."""
     sensor: SensorEntry = SensorEntry()
+    """How grey values follow from light."""
     height_gain: PositiveFloat = 1.0
     """Factor on every height, fitted from measured samples."""
     uncertainty: UncertaintyEntry | None = None
+    """How well the fit knows the camera; null when it was not fitted here."""
     residuals: Residuals | None = None
+    """What the fit left over; null when it was not fitted here."""
 
     @model_validator(mode="after")
     def _knows_opposite(self) -> Self:
