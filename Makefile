@@ -28,6 +28,8 @@ check: lint test  ## All that CI runs.
 docs: $(VENV)/run.stamp  ## Write again what is generated from the code.
 	$(BIN)/inspector registers --format markdown > deploy/plc/registers.md
 	$(BIN)/inspector registers --format csv > deploy/plc/registers.csv
+	$(BIN)/inspector config schema > config/schema.json
+	$(BIN)/inspector states > docs/states.md
 
 lock: $(BIN)/python  ## Choose new releases of the dependencies, with their hashes.
 	$(PYTHON) -m venv build/lock && build/lock/bin/pip install --quiet uv

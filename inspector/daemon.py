@@ -131,8 +131,9 @@ class Daemon:
         """Make devices and inspection; ``at_end`` is told what to close, the lamp first."""
         settings = self._settings
         devices = self._build(settings.camera, settings.module, settings.lamp)
-        self._camera: Keeper[Camera] = Keeper("camera", devices.camera, _retry(settings))
-        self._lamp: Keeper[Lamp] = Keeper("lamp", devices.lamp, _retry(settings))
+        retry, waiting = _retry(settings), self._signals.interruptible
+        self._camera: Keeper[Camera] = Keeper("camera", devices.camera, retry, waiting=waiting)
+        self._lamp: Keeper[Lamp] = Keeper("lamp", devices.lamp, retry, waiting=waiting)
         at_end.callback(self._camera.close)
         at_end.callback(self._lamp.close)
         at_end.callback(self._say_farewell)
@@ -201,8 +202,8 @@ class Daemon:
         console.say(console.panel_line(self._snapshot, "", (f"{fault.name}: {why}",)))
 
     def _show(self, snapshot: Snapshot) -> None:
-        self._snapshot = snapshot
         self._server.publish(snapshot)
+        self._snapshot = snapshot
         fault = f", fault {snapshot.fault_code}" if snapshot.fault_code else ""
         self._notifier.status(f"{snapshot.state.name}{fault}; registers on port {self.port}")
 

@@ -170,7 +170,8 @@ def _calibration_problems(document: Document, calibration: object, folder: Path)
     try:
         read_calibration(folder / calibration)
     except CalibrationError as error:
-        for line in str(error).splitlines():
+        heading, *lines = str(error).splitlines()
+        for line in lines or [heading]:
             yield document.problem(("calibration",), calibration, line)
 
 

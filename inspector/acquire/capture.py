@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 from firmware_bridge.contracts import Camera, CameraFrame, Lamp
 from firmware_bridge.errors import ReadBackWrong
-from inspector.acquire.keeper import Keeper
+from inspector.acquire.keeper import Keeper, Waiting
 from inspector.model import Frame
 
 EXPOSURE_STEP_US = 1.0
 """Cameras take exposures in whole microseconds or finer: a difference below one step is rounding."""
-
-Waiting = Callable[[], AbstractContextManager[object]]
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
@@ -28,6 +29,9 @@ class Retry:
     longest_s: float
 
 
+Waiting = Callable[[], AbstractContextManager[object]]
+"""Makes what is entered around a wait that a stop need not sit out."""
+
 DeviceT = TypeVar("DeviceT", bound=Device)
 ResultT = TypeVar("ResultT")
 
@@ -35,13 +39,20 @@ ResultT = TypeVar("ResultT")
 class Keeper(Generic[DeviceT]):
     """One device, closed after a failure and opened again as ``retry`` says.
 
-    An outage ends when the device has done something again, not when its port could be opened.
+    An outage ends when the device has done something again, not when its port could be opened. ``waiting`` is
+    entered around opening, which may take long.
     """
 
     def __init__(
-        self, name: str, device: DeviceT, retry: Retry, clock: Callable[[], float] = time.monotonic
+        self,
+        name: str,
+        device: DeviceT,
+        retry: Retry,
+        *,
+        waiting: Waiting = nullcontext,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.device, self.retry, self._clock = device, retry, clock
+        self.device, self.retry, self._waiting, self._clock = device, retry, waiting, clock
         self._outage = Outage(name, clock)
         self._open = False
         self._error: BridgeError | None = None
@@ -82,7 +93,8 @@ class Keeper(Generic[DeviceT]):
         if self._open or self._clock() < self._due_s:
             return
         try:
-            self.device.open()
+            with self._waiting():
+                self.device.open()
         except BridgeError as error:
             self._failed(error)
         else:
