@@ -13,6 +13,7 @@ the camera about its own axis, so changes no number.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -24,8 +25,14 @@ from inspector.model import FloatArray, Image, IntArray
 
 MIN_AREA_PX = 25
 """A smaller spot has no edges to speak of."""
-MIN_FILL = 0.82
-"""Least share of an outline's hull that it, and the quadrilateral of its corners, fill: a disc's fills 0.64."""
+FOURTH = (1.05, 2.8)
+"""|E z^4| of a whitened parallelogram is 2.4 (z = u + i v, unit variances); blur and pixels bring one 4 px across down
+to 1.1. A disc's is 0, an ellipse's of 8 x 4 px 1.0."""
+MAX_THIRD = 0.6
+"""|E z^3| of a whitened parallelogram is 0, of few pixels 0.55; of a square less a corner 0.7, of a triangle 2.3."""
+FILL_TOLERANCE = 0.05
+"""A parallelogram's area is 12 times the root of its covariance's determinant; a cross has a tenth less, a triangle a
+seventh."""
 MIN_CONTRAST_SIGMA = 6.0
 """Squares that stand out by less of their own scatter are not bright squares on black."""
 SIDEWAYS = 0.5
@@ -66,21 +73,49 @@ class Board:
 
 
 @dataclass(frozen=True)
-class _Quad:
-    """A bright quadrilateral: its outline (k, 1, 2) of pixels and its corners (4, 2), all quads' in one sense."""
+class _Spot:
+    """A bright thing: ``filled`` (h, w), 1 where it is, in a window whose first pixel is ``low`` (x, y)."""
 
-    outline: Outline
-    corners: FloatArray
+    low: IntArray
+    filled: Mask
+    is_cut: bool
 
-    @property
+    @cached_property
+    def pixels(self) -> FloatArray:
+        """Its pixels (k, 2), x and y in the image."""
+        return np.asarray(np.argwhere(self.filled)[:, ::-1] + self.low, np.float64)
+
+    @cached_property
     def centre(self) -> FloatArray:
-        return np.asarray(self.corners.mean(axis=0))
+        return np.asarray(self.pixels.mean(axis=0))
 
-    @property
+    @cached_property
+    def spread(self) -> FloatArray:
+        """Lower triangle (2, 2) whose product with its transpose is the area's covariance, a pixel being a square."""
+        away = self.pixels - self.centre
+        return np.asarray(np.linalg.cholesky(away.T @ away / len(away) + np.eye(2) / 12), np.float64)
+
+    @cached_property
+    def whitened(self) -> npt.NDArray[np.complex128]:
+        """Its pixels (k,) as complex numbers of unit variance in both parts: all parallelograms become one square."""
+        u, v = np.linalg.solve(self.spread, (self.pixels - self.centre).T)
+        return np.asarray(u + 1j * v)
+
+    @cached_property
     def axes(self) -> FloatArray:
-        """Its two sides as vectors, in columns (2, 2) px."""
-        c = self.corners
-        return np.column_stack([(c[1] - c[0]) + (c[2] - c[3]), (c[2] - c[1]) + (c[3] - c[0])]) / 2
+        """The sides of the parallelogram that it is, as columns (2, 2) px; E z^4 points against their direction."""
+        turn = np.angle(-np.mean(self.whitened**4)) / 4
+        c, s = np.cos(turn), np.sin(turn)
+        return np.asarray(np.sqrt(12) * self.spread @ np.array([[c, -s], [s, c]]))
+
+    def is_square(self) -> bool:
+        """Whether it has the shape of a square seen aslant."""
+        third, fourth = abs(np.mean(self.whitened**3)), abs(np.mean(self.whitened**4))
+        fill = len(self.pixels) / (12 * np.linalg.det(self.spread))
+        return bool(FOURTH[0] < fourth < FOURTH[1] and third < MAX_THIRD and abs(fill - 1) < FILL_TOLERANCE)
+
+    def reject(self, reason: str) -> Rejected:
+        return Rejected(float(self.centre[0]), float(self.centre[1]), reason)
 
 
 def find(image: Image, pitch_mm: float, columns: int, rows: int, square_mm: float | None = None) -> Board:
@@ -91,18 +126,18 @@ def find(image: Image, pitch_mm: float, columns: int, rows: int, square_mm: floa
     if columns < 2 or rows < 2:
         raise BoardRefused(f"a board of {columns} x {rows} squares is a line: at least 2 x 2 are needed")
     mask = _bright(image)
-    quads, rejected = _quads(mask)
+    quads, rejected = _sorted_out(_spots(mask))
     cells = _lattice(quads, None if square_mm is None else pitch_mm / square_mm)
     grid = _whole_board(cells, columns, rows, quads, rejected)
     xy_px, area_px2 = _centroids(image, mask, quads)
     order = _numbered(grid, xy_px, area_px2).ravel()
     i, j = np.indices((columns, rows)).reshape(2, -1) + 1
     points = Points(pitch_mm * np.column_stack([i, j, np.zeros(len(order))]), xy_px[order])
-    strays = [_reject(quads[k].outline, "is off the board's grid") for k in sorted(set(range(len(quads))) - set(order))]
+    strays = [quads[k].reject("is off the board's grid") for k in sorted(set(range(len(quads))) - set(order))]
     return Board(Squares(points, area_px2[order], square_mm), columns, rows, (*rejected, *strays))
 
 
-# --- bright quadrilaterals -------------------------------------------------------------------------------------------
+# --- bright spots ----------------------------------------------------------------------------------------------------
 
 
 def _bright(image: Image) -> Mask:
@@ -118,51 +153,34 @@ def _bright(image: Image) -> Mask:
     return np.asarray(mask, np.uint8)
 
 
-def _quads(mask: Mask) -> tuple[list[_Quad], list[Rejected]]:
-    """Bright quadrilaterals wholly in the image, and what else is bright (but specks, which are dropped)."""
+def _spots(mask: Mask) -> list[_Spot]:
+    """Bright things with their holes filled, but for specks."""
     outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    quads, rejected = [], []
-    for outline in (np.asarray(found, np.int32) for found in outlines):
-        if cv2.contourArea(outline) < MIN_AREA_PX:
-            continue
-        corners = _corners(outline)
-        if _is_cut(outline, mask.shape):
-            rejected.append(_reject(outline, "is cut by the image's edge"))
-        elif corners is None:
-            rejected.append(_reject(outline, "is not a square's shape"))
-        else:
-            quads.append(_Quad(outline, corners))
-    return quads, rejected
+    spots = (_spot(np.asarray(outline, np.int32), mask.shape) for outline in outlines)
+    return [spot for spot in spots if np.count_nonzero(spot.filled) >= MIN_AREA_PX]
 
 
-def _corners(outline: Outline) -> FloatArray | None:
-    """The four corners (4, 2) of an outline, clockwise in the image; None if it is no filled quadrilateral."""
-    hull = cv2.convexHull(outline, clockwise=True)
-    area, around = cv2.contourArea(hull), cv2.arcLength(hull, True)
-    if cv2.contourArea(outline) < MIN_FILL * area:
-        return None
-    for share in np.arange(0.02, 0.12, 0.01):
-        corners = cv2.approxPolyDP(hull, share * around, True)
-        if len(corners) <= 4:
-            filled = len(corners) == 4 and cv2.contourArea(corners) >= MIN_FILL * area
-            return corners[:, 0].astype(np.float64) if filled else None
-    return None
+def _spot(outline: Outline, shape: tuple[int, ...]) -> _Spot:
+    last = np.array([shape[1] - 1, shape[0] - 1])
+    first_in, last_in = outline.min(axis=(0, 1)), outline.max(axis=(0, 1))
+    low, high = np.maximum(first_in - 2 * RIM_PX, 0), np.minimum(last_in + 2 * RIM_PX, last)
+    filled = np.zeros((high - low + 1)[::-1], np.uint8)
+    cv2.drawContours(filled, [outline], -1, 1, cv2.FILLED, offset=(-int(low[0]), -int(low[1])))
+    return _Spot(low, filled, bool(np.any(first_in == 0) or np.any(last_in == last)))
 
 
-def _is_cut(outline: Outline, shape: tuple[int, ...]) -> bool:
-    low, high = outline.min(axis=(0, 1)), outline.max(axis=(0, 1))
-    return bool(np.any(low == 0) or np.any(high == [shape[1] - 1, shape[0] - 1]))
-
-
-def _reject(outline: Outline, reason: str) -> Rejected:
-    x, y = outline.mean(axis=(0, 1))
-    return Rejected(float(x), float(y), reason)
+def _sorted_out(spots: list[_Spot]) -> tuple[list[_Spot], list[Rejected]]:
+    """Spots that have a square's shape and are whole, and the others."""
+    whole = [spot for spot in spots if not spot.is_cut]
+    cut = [spot.reject("is cut by the image's edge") for spot in spots if spot.is_cut]
+    odd = [spot.reject("is not a square's shape") for spot in whole if not spot.is_square()]
+    return [spot for spot in whole if spot.is_square()], cut + odd
 
 
 # --- the grid --------------------------------------------------------------------------------------------------------
 
 
-def _lattice(quads: list[_Quad], step: float | None) -> dict[Cell, int]:
+def _lattice(quads: list[_Spot], step: float | None) -> dict[Cell, int]:
     """Cells of the largest set of quadrilaterals that are each other's neighbours: cell -> index.
 
     ``step`` is the pitch in sides; None: the most usual distance between neighbours.
@@ -177,7 +195,7 @@ def _lattice(quads: list[_Quad], step: float | None) -> dict[Cell, int]:
     return largest
 
 
-def _links(quads: list[_Quad], step: float | None) -> list[set[int]]:
+def _links(quads: list[_Spot], step: float | None) -> list[set[int]]:
     """For each quadrilateral, its neighbours: nearest along one of its axes, at the usual step, and the same back."""
     if not quads:
         return []
@@ -189,7 +207,7 @@ def _links(quads: list[_Quad], step: float | None) -> list[set[int]]:
     return [{j for j in nearest[k] if {(k, j), (j, k)} <= steady} for k in range(len(quads))]
 
 
-def _nearest_along(quad: _Quad, centres: FloatArray) -> dict[int, float]:
+def _nearest_along(quad: _Spot, centres: FloatArray) -> dict[int, float]:
     """The nearest centre in each of the four directions of a quadrilateral's sides: index -> distance in sides."""
     local = np.linalg.solve(quad.axes, (centres - quad.centre).T).T
     found = {}
@@ -202,7 +220,7 @@ def _nearest_along(quad: _Quad, centres: FloatArray) -> dict[int, float]:
     return found
 
 
-def _spread_out(first: int, quads: list[_Quad], links: list[set[int]]) -> dict[Cell, int]:
+def _spread_out(first: int, quads: list[_Spot], links: list[set[int]]) -> dict[Cell, int]:
     """Cells of all quadrilaterals linked with the ``first``, found outwards: cell -> index."""
     cells, axes = {(0, 0): first}, {first: quads[first].axes}
     queue = [((0, 0), first)]
@@ -225,7 +243,7 @@ def _aligned(axes: FloatArray, model: FloatArray) -> FloatArray:
 
 
 def _whole_board(
-    cells: dict[Cell, int], columns: int, rows: int, quads: list[_Quad], rejected: list[Rejected]
+    cells: dict[Cell, int], columns: int, rows: int, quads: list[_Spot], rejected: list[Rejected]
 ) -> IntArray:
     """Indices (columns, rows) of the one full grid of the stated size. Raises BoardRefused, saying what was found."""
     found = np.array(sorted(cells)).reshape(-1, 2)
@@ -243,7 +261,7 @@ def _whole_board(
 
 
 def _why_not(
-    cells: dict[Cell, int], columns: int, rows: int, count: int, quads: list[_Quad], rejected: list[Rejected]
+    cells: dict[Cell, int], columns: int, rows: int, count: int, quads: list[_Spot], rejected: list[Rejected]
 ) -> str:
     """What was found instead of one whole board."""
     found = np.array(sorted(cells)).reshape(-1, 2)
@@ -259,7 +277,7 @@ def _why_not(
     return text + ". The whole board must be in view, clear of dirt and reflections"
 
 
-def _missing(cells: dict[Cell, int], quads: list[_Quad]) -> str:
+def _missing(cells: dict[Cell, int], quads: list[_Spot]) -> str:
     """Where in the image the empty cells of the grid are, by the plane's homography."""
     known = np.array(sorted(cells), dtype=np.float64)
     seen = np.array([quads[cells[cell]].centre for cell in sorted(cells)])
@@ -286,36 +304,36 @@ def _numbered(grid: IntArray, xy_px: FloatArray, area_px2: FloatArray) -> IntArr
 # --- sub-pixel -------------------------------------------------------------------------------------------------------
 
 
-def _centroids(image: Image, mask: Mask, quads: list[_Quad]) -> tuple[FloatArray, FloatArray]:
+def _centroids(image: Image, mask: Mask, quads: list[_Spot]) -> tuple[FloatArray, FloatArray]:
     """Area centroids (n, 2) px and areas (n,) px^2 of quadrilaterals, by how much of each pixel they cover."""
-    kernel = np.ones((2 * RIM_PX + 1, 2 * RIM_PX + 1), np.uint8)
-    dark = cv2.dilate(mask, kernel) == 0
+    distance, owner = cv2.distanceTransformWithLabels(1 - mask, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_CCOMP)
+    dark = distance > RIM_PX
     black_dn = float(np.median(image[dark])) if dark.any() else float(image.min())
-    found = [_centroid(image, dark, black_dn, quad) for quad in quads]
+    light = image.astype(np.float64)
+    found = [_centroid(light, dark, np.asarray(owner, np.intp), black_dn, quad) for quad in quads]
     return np.array([xy for xy, _ in found]), np.array([area for _, area in found])
 
 
-def _centroid(image: Image, dark: Chosen, black_dn: float, quad: _Quad) -> tuple[FloatArray, float]:
+def _centroid(
+    light: FloatArray, dark: Chosen, owner: IntArray, black_dn: float, quad: _Spot
+) -> tuple[FloatArray, float]:
     """Centroid (2,) px and area px^2: inside counts fully, the blurred rim by its grey level between black and white.
 
     White is a plane through the inside, since the board may be lit aslant; black is the dark just around the square.
+    Where neighbours' rims meet, each pixel belongs to the nearer square.
     """
-    low = np.maximum(quad.outline.min(axis=(0, 1)) - 2 * RIM_PX, 0)
-    high = quad.outline.max(axis=(0, 1)) + 2 * RIM_PX + 1
-    window = (slice(low[1], high[1]), slice(low[0], high[0]))
-    grey = image[window].astype(np.float64)
-    filled = np.zeros(grey.shape, np.uint8)
-    cv2.drawContours(filled, [quad.outline], -1, 1, cv2.FILLED, offset=(-int(low[0]), -int(low[1])))
-    square = np.ones((3, 3), np.uint8)
-    inside = cv2.erode(filled, square, iterations=RIM_PX - 1, borderValue=0) > 0
-    reach = cv2.dilate(filled, square, iterations=RIM_PX) > 0
-    around = dark[window]
+    height, width = quad.filled.shape
+    x0, y0 = quad.low
+    window = (slice(y0, y0 + height), slice(x0, x0 + width))
+    grey, around, filled = light[window], dark[window], quad.filled > 0
+    inside = cv2.erode(quad.filled, np.ones((3, 3), np.uint8), iterations=RIM_PX - 1) > 0
+    reach = filled | (~around & (owner[window] == np.median(owner[window][filled])))
     black = float(np.median(grey[around])) if np.count_nonzero(around) > MIN_AREA_PX else black_dn
-    white = _white(grey, filled > 0, inside)
+    white = _white(grey, filled, inside)
     cover = np.where(inside, 1.0, np.where(reach, (grey - black) / np.maximum(white - black, 1.0), 0.0))
     y, x = np.indices(grey.shape)
     area = float(cover.sum())
-    return np.array([np.sum(cover * x), np.sum(cover * y)]) / area + low, area
+    return np.array([np.sum(cover * x), np.sum(cover * y)]) / area + quad.low, area
 
 
 def _white(grey: FloatArray, filled: Chosen, inside: Chosen) -> FloatArray:

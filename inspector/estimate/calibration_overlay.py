@@ -19,7 +19,7 @@ LABEL_OFFSET_PX = np.array([3.0, -3.0])
 """Names stand beside their points, pixels of the image."""
 LONGEST_ARROW_PX = 25.0
 """The largest residual is drawn at most this long, in pixels of the image."""
-SEEN, ARROW, NAME, AXES = (0, 200, 0), (0, 80, 255), (255, 200, 0), ((60, 60, 255), (60, 255, 60))
+SEEN, ARROW, NAME, AXES = (0, 200, 0), (0, 80, 255), (255, 60, 200), ((60, 60, 255), (60, 255, 60))
 """Blue, green, red; the world's x axis is red, y green."""
 
 
@@ -63,9 +63,7 @@ def _axes(picture: Picture, fitted: Fit) -> None:
 
 
 def _write(picture: Picture, text: str, at: tuple[int, int]) -> None:
-    """Text with a dark edge, legible on black and on white."""
-    for colour, width in (((0, 0, 0), 3), (NAME, 1)):
-        cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, width, cv2.LINE_AA)
+    cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, NAME, 1, cv2.LINE_AA)
 
 
 def _at(xy_px: FloatArray) -> tuple[int, int]:

@@ -11,12 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from inspector.estimate.calibration import Fit, Method, Points, SensorConstants, fit, fit_camera
+from inspector.estimate.calibration import BoardRefused, Fit, Method, Points, SensorConstants, fit, fit_camera
 from inspector.model import FloatArray
 from inspector.optics import Camera
 
 ROUNDS = 6
 """The shift hardly depends on the camera: each round wins two digits."""
+AREA_TOLERANCE = 0.1
+"""Areas agree to a percent on clean boards; a tenth missing on one side moves a centroid by a twentieth of the side."""
 SIDES_PER_EDGE = 16
 """Chords that stand for one distorted edge: wrong by a millionth of its bow."""
 
@@ -52,7 +54,23 @@ def fit_squares(squares: Squares, sensor: SensorConstants, method: Method = "rep
         centroids, _ = seen_squares(world, side_mm, camera)
         shifts = centroids - camera.project(world)
         centres = replace(squares.points, xy_px=seen_px - shifts)
-    return SquaresFit(fit(centres, sensor, method), side_mm, shifts)
+    fitted = fit(centres, sensor, method)
+    _check_areas(squares, side_mm, fitted.camera)
+    return SquaresFit(fitted, side_mm, shifts)
+
+
+def _check_areas(squares: Squares, side_mm: float, camera: Camera) -> None:
+    """Refuse squares that are larger or smaller than the rest: covered in part, or grown by a reflection."""
+    _, areas = seen_squares(squares.points.world_mm, side_mm, camera)
+    share = squares.area_px2 / areas
+    share /= np.median(share)
+    worst = int(np.argmax(np.abs(share - 1)))
+    if not abs(share[worst] - 1) <= AREA_TOLERANCE:
+        x, y = squares.points.xy_px[worst]
+        raise BoardRefused(
+            f"the square at ({x:.0f}, {y:.0f}) px has {100 * share[worst]:.0f} % of the area it should have: clean the"
+            " board and keep reflections off it"
+        )
 
 
 def side_of(squares: Squares, camera: Camera) -> float:
