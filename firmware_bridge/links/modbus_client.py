@@ -15,6 +15,7 @@ from pymodbus.transport import CommParams, CommType
 
 from firmware_bridge.errors import ReplyWrong
 from firmware_bridge.links.ports import Port
+from firmware_bridge.wire.modbus_frames import rtu_answer
 
 MAX_REPLY_BYTES = 1024
 """Four of the longest frames: a line that sends more for one request is babbling, and is left at once."""
@@ -30,10 +31,10 @@ class DeadlineClient(ModbusBaseSyncClient):
         # For pymodbus every port is a serial one: it would otherwise try to take down a transport that it has not.
         params = CommParams(comm_type=CommType.SERIAL, host=port.name, timeout_connect=deadline_s)
         framer = FramerType.RTU if rtu else FramerType.SOCKET
-        super().__init__(framer, 0, params, self._skip_noise if rtu else None, None, None)
+        super().__init__(framer, 0, params, self._whole_answer if rtu else None, None, None)
         self._device, self._port, self._deadline_s = device, port, deadline_s
         self._until_s = 0.0
-        self._request_head = b""
+        self._unit = self._function = 0
         self.received = 0
 
     def connect(self) -> bool:
@@ -56,12 +57,9 @@ class DeadlineClient(ModbusBaseSyncClient):
             raise ReplyWrong(self._device, f"{self._port.name} babbles", "check termination, A/B wiring and baud rate")
         return data
 
-    def _skip_noise(self, sending: bool, data: bytes) -> bytes:
-        """Cut what stands before the reply: RS-485 drivers that turn round often put a stray byte there."""
+    def _whole_answer(self, sending: bool, data: bytes) -> bytes:
+        """Hand pymodbus a whole answer or nothing yet: on a false start it would throw away all that has come."""
         if sending:
-            self._request_head = data[:2]
+            self._unit, self._function = data[:2]
             return data
-        unit, function = self._request_head
-        heads = (self._request_head, bytes((unit, function | 0x80)))
-        starts = [start for start in map(data.find, heads) if start >= 0]
-        return data[min(starts) :] if starts else data
+        return rtu_answer(data, self._unit, self._function)

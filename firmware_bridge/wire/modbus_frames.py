@@ -118,6 +118,21 @@ def rtu_frame(unit: int, pdu: bytes) -> bytes:
     return body + crc16(body).to_bytes(2, "little")
 
 
+def rtu_answer(stream: bytes, unit: int, function: int) -> bytes:
+    """The first whole frame in ``stream`` with which ``unit`` answers ``function``; empty if there is none (yet).
+
+    What stands before it is skipped: RS-485 drivers that turn round often put a stray byte there.
+    """
+    for start in range(len(stream) - MIN_RTU_BYTES):
+        rest = stream[start : start + MAX_RTU_BYTES]
+        if rest[0] != unit or rest[1] & 0x7F != function:
+            continue
+        size = _answer_size(rest)
+        if size <= len(rest) and crc16(rest[:size]) == 0:
+            return rest[:size]
+    return b""
+
+
 def crc16(data: bytes | bytearray) -> int:
     """CRC-16/MODBUS: polynomial 0xA001 reflected, start 0xFFFF; 0 over a whole frame with its own checksum."""
     crc = 0xFFFF
@@ -161,7 +176,13 @@ def _possible_sizes(buffer: bytearray, *, foreign: bool) -> tuple[int, ...]:
     return request, _ANSWER_BYTES.get(function) or _counted_size(buffer, _ANSWER_COUNT_AT[function])
 
 
-def _counted_size(buffer: bytearray, count_at: int) -> int:
+def _answer_size(frame: bytes) -> int:
+    if frame[1] & 0x80:
+        return _EXCEPTION_BYTES
+    return _ANSWER_BYTES.get(frame[1]) or _counted_size(frame, _ANSWER_COUNT_AT[frame[1]])
+
+
+def _counted_size(buffer: bytes | bytearray, count_at: int) -> int:
     """Size from the byte count at ``count_at``; one byte more than there is while the count has not come."""
     if count_at >= len(buffer):
         return len(buffer) + 1

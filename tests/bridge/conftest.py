@@ -99,6 +99,12 @@ class ScriptedPeer:
     def send(self, data: bytes) -> None:
         self._far.sendall(data)
 
+    def drip(self, data: bytes) -> None:
+        """Answer the next request byte by byte."""
+        self.requests.append(self._far.recv(512))
+        for byte in data:
+            self._far.sendall(bytes((byte,)))
+
     def hang_up(self) -> None:
         self._far.shutdown(socket.SHUT_RDWR)
 
