@@ -8,7 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from inspector.detect import fit as fitting
+from inspector.detect import kernel
 from inspector.detect import lit as lit_stage
+from inspector.detect.fit import Response
 from inspector.detect.lit import Background, Lit
 from inspector.detect.spots import Spots, find_spots
 from inspector.model import Flag, FloatArray, Highlights, Image, IntArray, Reason
@@ -17,8 +19,6 @@ from inspector.recipe import Detection
 
 Bools = npt.NDArray[np.bool_]
 
-SATURATED_SHARE = 0.98
-"""Pixels at this share of full scale are taken as clipped: pattern noise comes after the clip on many sensors."""
 OVERLIT_SHARE = 0.6
 """A panel whose median is above this share of full scale is lit all over."""
 BLACK_SHARE = 0.008
@@ -27,10 +27,6 @@ HOT_SHARE = 0.25
 """A lens spreads every spot: four neighbours together under this share of the peak make it a hot pixel."""
 WINDOW_RADIUS_PX = (4, 12)
 """Radius of the fit's windows, least and most: the spot and two pixels of background around it."""
-ELECTRONS_PER_DN_8BIT = 60.0
-"""Shot noise of a common 15,000 electron well on 255 DN; each fit's own residual corrects it."""
-PATTERN_SHARE = 0.006
-"""Photo-response non-uniformity as a share of the signal (EMVA 1288 data sheets: 0.3 to 1 %)."""
 SYSTEMATIC_PX = 0.006
 """What a perfect fit still misses: the profile is not quite a Gaussian (found on rendered spots)."""
 BLOOM_SIGMA_PX, MERGED_BLOOM_SIGMA_PX = 0.03, 0.1
@@ -63,11 +59,13 @@ def find(image: Image, detection: Detection, sensor: Sensor) -> Highlights:
 
     ``image`` (H, W) uint8 or uint16 of any stride. Raises FrameRefused for a frame that is black or lit all over.
     """
+    image = kernel.packed(image)
     ground = lit_stage.background(image)
     sensor = _full_scale(image, sensor)
     lit = _lit(image, detection, sensor, ground)
-    spots = find_spots(image, lit, SATURATED_SHARE * sensor.saturation_dn)
-    return _measured(image, lit, spots, ground, detection, sensor)
+    response = Response(sensor, ground.level_dn, ground.noise_dn, ground.black_dn)
+    spots = find_spots(image, lit, response.clipped_dn)
+    return _measured(image, lit, spots, ground, detection, response)
 
 
 def _full_scale(image: Image, sensor: Sensor) -> Sensor:
@@ -86,55 +84,50 @@ def _lit(image: Image, detection: Detection, sensor: Sensor, ground: Background)
             Reason.FRAME_OVERLIT,
             f"the frame is lit all over (median {ground.level_dn:.0f} of {full:.0f} DN): shield it or lower the exposure",
         )
-    row_peaks = image.max(axis=1)
-    if row_peaks.max(initial=0) <= BLACK_SHARE * full:
+    if detection.threshold_dn is not None:
+        thresholds = np.array([[detection.threshold_dn]])
+    else:
+        tiles = ground.tiles_dn.max(keepdims=True) if ground.flat() else ground.tiles_dn
+        thresholds = tiles + detection.threshold_sigma * ground.noise_dn
+    lit = lit_stage.find(image, thresholds, detection.max_lit_fraction)
+    if lit is None:
+        raise FrameRefused(
+            Reason.FRAME_OVERLIT,
+            f"more than {100 * detection.max_lit_fraction:g} % of the frame is above the threshold"
+            f" ({thresholds.max():.0f} DN, background {ground.level_dn:.0f} DN): shield it, lower the exposure or raise the threshold",
+        )
+    if lit.count == 0 and image.max(initial=0) <= BLACK_SHARE * full:
         raise FrameRefused(
             Reason.FRAME_BLACK,
             f"the frame is black (nothing above {BLACK_SHARE * full:.0f} DN): check lamp, lens cap and exposure",
         )
-    rise = detection.threshold_sigma * ground.noise_dn
-    threshold = detection.threshold_dn if detection.threshold_dn is not None else float(ground.tiles_dn.max()) + rise
-    if detection.threshold_dn is None and not ground.flat():
-        found = lit_stage.above_background(image, row_peaks, ground, rise, detection.max_lit_fraction)
-    else:
-        found = lit_stage.above(image, row_peaks, threshold, detection.max_lit_fraction)
-    if found is None:
-        raise FrameRefused(
-            Reason.FRAME_OVERLIT,
-            f"more than {100 * detection.max_lit_fraction:g} % of the frame is above the threshold"
-            f" ({threshold:.0f} DN, background {ground.level_dn:.0f} DN): shield it, lower the exposure or raise the threshold",
-        )
-    rows, columns = found
-    component = lit_stage.components(rows, columns, image.shape[1])
-    count = int(component.max(initial=-1)) + 1
-    if count > detection.max_highlights:
+    if lit.count > detection.max_highlights:
         raise FrameRefused(
             Reason.TOO_MANY_HIGHLIGHTS,
-            f"{count} highlights, more than max_highlights ({detection.max_highlights}): clean or shield the panel",
+            f"{lit.count} highlights, more than max_highlights ({detection.max_highlights}): clean or shield the panel",
         )
-    return Lit(rows, columns, image[rows, columns].astype(np.float64), component, count, threshold, image.shape[1])
+    return lit
 
 
 def _measured(
-    image: Image, lit: Lit, spots: Spots, ground: Background, detection: Detection, sensor: Sensor
+    image: Image, lit: Lit, spots: Spots, ground: Background, detection: Detection, response: Response
 ) -> Highlights:
     """Centres, their covariance, flux, peak, area and flags of all spots."""
     if len(spots.centre_px) == 0:
         return none(lit.threshold_dn, ground)
-    response = Response(sensor, ground)
-    fitted, start, area, flags = _fitted(image, lit, spots, detection, response)
+    fitted, start, area, flags = _fitted(image, lit, spots, ground, detection, response)
     more = _hidden(spots, fitted, flags)
     if len(more):
         crowd = spots.with_more(*more)
-        again = _fitted(image, lit, crowd, detection, response)
+        again = _fitted(image, lit, crowd, ground, detection, response)
         proven = _proven(fitted, again[0], more[0])
         if len(proven):
             spots = spots.with_more(more[0][proven], more[1][proven])
-            fitted, start, area, flags = _fitted(image, lit, spots, detection, response)
+            fitted, start, area, flags = _fitted(image, lit, spots, ground, detection, response)
     covariance, xy, flux = _believed(fitted, spots)
     saturated = spots.saturated_px > 0
     flux_sigma = np.where(saturated, CLIPPED_FLUX_SIGMA, FLUX_SIGMA)
-    if spots.blooms:
+    if any(spots.bloom):
         centroid, charge = _charge(lit, spots, start, response)
         alone = saturated & ((flags & Flag.MERGED) == 0)
         xy[alone], covariance[alone] = centroid[alone], BLOOM_SIGMA_PX**2 * np.eye(2)
@@ -156,27 +149,26 @@ def _measured(
 
 
 def _fitted(
-    image: Image, lit: Lit, spots: Spots, detection: Detection, response: Response
+    image: Image, lit: Lit, spots: Spots, ground: Background, detection: Detection, response: Response
 ) -> tuple[fitting.Fitted, FloatArray, FloatArray, IntArray]:
     """Fit all spots; also the first guess, each spot's share (n,) of its component's area, and its flags (n,)."""
     share = np.bincount(lit.component, minlength=lit.count) / np.maximum(
         np.bincount(spots.component, minlength=lit.count), 1
     )
     area = share[spots.component]
-    centre = np.rint(spots.centre_px)
-    start = _start(image, spots, area, centre, lit.threshold_dn, response)
+    centre = np.rint(spots.centre_px).astype(np.intp)
+    start = _start(image, spots, area, centre, lit.threshold_dn, ground, response)
     radius = np.clip(np.ceil(np.sqrt(area / np.pi)) + 2, *WINDOW_RADIUS_PX)
-    windows = _cut(image, spots, centre.astype(np.intp), radius, response)
     flags = _flags(image, lit, spots, area, detection)
     typical = (flags & (Flag.SATURATED | Flag.HOT_PIXEL | Flag.MERGED)) == 0
     if not typical.any():
         typical = (flags & (Flag.SATURATED | Flag.HOT_PIXEL)) == 0
-    return fitting.fit(windows, start, typical, 2 * float(radius.max())), start, area, flags
+    return fitting.fit(image, response, spots.bloom, centre, radius, typical, start), start, area, flags
 
 
 def _hidden(spots: Spots, fitted: fitting.Fitted, flags: IntArray) -> tuple[IntArray, FloatArray] | tuple[()]:
     """Where badly fitted spots may hide another: their indices (m,) and the place (m, 2) of the largest misfit."""
-    bloomed = (spots.saturated_px > 0) & spots.blooms
+    bloomed = (spots.saturated_px > 0) & any(spots.bloom)
     poor = np.flatnonzero(
         (fitted.chi2 > HIDDEN_CHI2) & (fitted.misfit_sigma > HIDDEN_SIGMA) & ~bloomed & ((flags & Flag.HOT_PIXEL) == 0)
     )
@@ -193,74 +185,31 @@ def _proven(before: fitting.Fitted, after: fitting.Fitted, hosts: IntArray) -> I
     return np.flatnonzero(better & stayed & bright & (apart > LEAST_APART_PX))
 
 
-@dataclass(frozen=True)
-class Response:
-    """Grey values to linear light, on a scale on which full scale stays where it is."""
-
-    sensor: Sensor
-    ground: Background
-
-    @property
-    def black_dn(self) -> float:
-        """The sensor's black, DN: from the calibration, or the darkest that the frame shows."""
-        return self.ground.black_dn if self.sensor.black_dn is None else self.sensor.black_dn
-
-    def light(self, grey_dn: FloatArray) -> FloatArray:
-        """Linear light of grey values, in DN of a linear sensor (F.1 inverted)."""
-        if self.sensor.gamma == 1:
-            return grey_dn
-        span = self.sensor.saturation_dn - self.black_dn
-        return np.maximum((grey_dn - self.black_dn) / span, 0.0) ** (1 / self.sensor.gamma) * span + self.black_dn
-
-    def variance(self, light: FloatArray) -> FloatArray:
-        """Variance of linear light, DN^2: read noise, shot noise over the background, pattern."""
-        dn = self.sensor.saturation_dn / 255
-        level = self.light(np.array([self.ground.level_dn]))[0]
-        read = max(self.ground.noise_dn, 0.5 * dn)
-        shot = np.maximum(light - level, 0.0) * dn / ELECTRONS_PER_DN_8BIT
-        return read**2 + shot + (PATTERN_SHARE * light) ** 2
-
-
 def _start(
-    image: Image, spots: Spots, area: FloatArray, centre: FloatArray, threshold_dn: float, response: Response
+    image: Image,
+    spots: Spots,
+    area: FloatArray,
+    centre: IntArray,
+    threshold_dn: float,
+    ground: Background,
+    response: Response,
 ) -> FloatArray:
     """First guess (n, 9) for the fit. A Gaussian of peak P covers 2 pi s^2 ln(P/T) pixels above a threshold T."""
-    rows, columns = centre[:, 1].astype(np.intp), centre[:, 0].astype(np.intp)
+    rows, columns = centre[:, 1], centre[:, 0]
     grey = image[rows, columns].astype(np.float64)
-    level = response.ground.at(rows, columns, image.shape)
-    light, ground, threshold, full = (
-        response.light(v) for v in (grey, level, np.maximum(threshold_dn, level + 1), np.full_like(grey, response.sensor.saturation_dn))
-    )
+    level = ground.at(rows, columns, image.shape)
+    light, base, threshold = response.light(np.stack([grey, level, np.maximum(threshold_dn, level + 1)]))
     saturated = spots.saturated_px > 0
-    peak = np.maximum(np.where(saturated, full, light) - ground, 1.0)
+    peak = np.maximum(np.where(saturated, response.sensor.saturation_dn, light) - base, 1.0)
     ring = np.where(saturated, np.maximum(area - spots.saturated_px, 4), area)
-    blur = np.clip(ring / (2 * np.pi * np.log(np.maximum(peak / (threshold - ground), 1.3))), 0.25, 16.0)
+    blur = np.clip(ring / (2 * np.pi * np.log(np.maximum(peak / (threshold - base), 1.3))), 0.25, 16.0)
     plateau = np.exp(np.minimum(spots.narrow_px**2 / (8 * blur), 5.0))
     start = np.zeros((len(centre), fitting.PARAMETERS))
     start[:, fitting.X : fitting.Y + 1] = spots.centre_px - centre
     start[:, fitting.LOG_PEAK] = np.log(peak * plateau)
     start[:, fitting.SXX] = start[:, fitting.SYY] = blur
-    start[:, fitting.BACKGROUND] = ground
+    start[:, fitting.BACKGROUND] = base
     return start
-
-
-def _cut(image: Image, spots: Spots, centre: IntArray, radius: FloatArray, response: Response) -> fitting.Windows:
-    """Cut a round window of each spot's own radius (n,) around integer centres (n, 2), in linear light."""
-    height, width = image.shape
-    span = np.arange(-int(radius.max()), int(radius.max()) + 1)
-    dy, dx = (a.ravel() for a in np.meshgrid(span, span, indexing="ij"))
-    distance2 = dx * dx + dy * dy
-    inside = distance2 <= (radius.max() + 0.3) ** 2
-    dx, dy, distance2 = dx[inside], dy[inside], distance2[inside]
-    rows, columns = centre[:, 1:] + dy, centre[:, :1] + dx
-    usable = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-    usable &= distance2 <= (radius[:, None] + 0.3) ** 2
-    grey = image[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)].astype(np.float64)
-    clipped = grey >= SATURATED_SHARE * response.sensor.saturation_dn
-    if spots.blooms:
-        usable &= ~np.isin(rows * (width + 2) + columns, spots.blind_rows * (width + 2) + spots.blind_columns)
-    light = response.light(grey)
-    return fitting.Windows(light, response.variance(light), usable, clipped, dx.astype(float), dy.astype(float), centre.astype(float))
 
 
 def _flags(
@@ -298,8 +247,7 @@ def _believed(fitted: fitting.Fitted, spots: Spots) -> tuple[FloatArray, FloatAr
     covariance = fitted.covariance_px2 * np.maximum(fitted.chi2, 1.0)[:, None, None]
     covariance = covariance + SYSTEMATIC_PX**2 * np.eye(2)
     away = np.abs(fitted.xy_px - spots.centre_px).max(axis=1)
-    sxx, sxy, syy = fitted.blur_px2.T
-    flux = 2 * np.pi * np.sqrt(np.maximum(sxx * syy - sxy**2, 1e-6)) * fitted.peak_dn
+    flux = fitted.flux_dn.copy()
     lost = ~((away < LOST_PX) & np.isfinite(covariance).all(axis=(1, 2)) & (flux > 0) & np.isfinite(flux))
     covariance[lost] = LOST_SIGMA_PX**2 * np.eye(2)
     flux[lost] = np.maximum(fitted.peak_dn[lost], 1.0)

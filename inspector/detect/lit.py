@@ -1,17 +1,16 @@
 """Lit pixels of a dark frame and the components they form, at the cost of one pass over memory.
 
 The pass takes each row's maximum; only rows that reach the threshold are looked at again, and from there on the
-work is in proportion to what is lit.
+work is in proportion to what is lit. The loops are in `_kernel.c`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-import numpy.typing as npt
 
+from inspector.detect import kernel
 from inspector.model import FloatArray, Image, IntArray
 
 TILE_ROWS, TILE_COLUMNS, SAMPLES = 6, 8, 8
@@ -87,80 +86,13 @@ class Lit:
     component: IntArray
     count: int
     threshold_dn: float
-    width: int
 
 
-def above(
-    image: Image, row_peaks: npt.NDArray[np.generic], threshold_dn: float, most: float
-) -> tuple[IntArray, IntArray] | None:
-    """Rows and columns of pixels above a threshold; None if they are more than the share ``most`` of the frame.
-
-    ``row_peaks`` (H,) is each row's maximum: the one pass over the frame's memory.
-    """
-    rows = np.flatnonzero(row_peaks > threshold_dn)
-    return _where(image[rows] > threshold_dn, rows, most * image.size)
-
-
-def above_background(
-    image: Image, row_peaks: npt.NDArray[np.generic], ground: Background, rise_dn: float, most: float
-) -> tuple[IntArray, IntArray] | None:
-    """The same above an uneven background: a row is looked at where its maximum tops its darkest tile."""
-    height, width = image.shape
-    everywhere = np.arange(height)
-    darkest = ground.tiles_dn.min(axis=1)
-    low = np.interp((everywhere + 0.5) * len(darkest) / height - 0.5, np.arange(len(darkest)), darkest)
-    rows = everywhere[row_peaks > low + rise_dn]
-    tops = np.empty((len(rows), width), image.dtype)
-    grid = cv2.resize(ground.tiles_dn.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
-    np.floor(np.minimum(grid[rows] + rise_dn, np.iinfo(image.dtype).max), out=tops, casting="unsafe")
-    return _where(image[rows] > tops, rows, most * image.size)
-
-
-def _where(lit: npt.NDArray[np.bool_], rows: IntArray, most: float) -> tuple[IntArray, IntArray] | None:
-    """Frame coordinates of what is lit in the chosen rows, unless there is too much of it."""
-    if np.count_nonzero(lit) > most:
+def find(image: Image, thresholds_dn: FloatArray, most_share: float) -> Lit | None:
+    """The pixels above thresholds given at tile centres; None if they are more than this share of the frame."""
+    found = kernel.lit(image, thresholds_dn, int(most_share * image.size) + 1)
+    if found is None:
         return None
-    which, columns = np.nonzero(lit)
-    return rows[which], columns
-
-
-def components(rows: IntArray, columns: IntArray, width: int) -> IntArray:
-    """8-connected component numbers (n,) of pixels given in row-major order; numbered in order of first pixel.
-
-    Runs of neighbouring pixels are joined with the runs they touch in the row above; labels then fall to the least
-    number reachable (min-label propagation with pointer jumping).
-    """
-    if len(rows) == 0:
-        return np.empty(0, np.intp)
-    stride = width + 2  # two columns of air, so that a row's end never touches the next row's start
-    flat = rows * stride + columns
-    new_run = np.empty(len(flat), np.bool_)
-    new_run[0] = True
-    np.not_equal(flat[1:], flat[:-1] + 1, out=new_run[1:])
-    run_of_pixel = np.cumsum(new_run) - 1
-    first = flat[new_run]
-    last = flat[np.append(np.flatnonzero(new_run)[1:] - 1, len(flat) - 1)]
-    lowest = np.searchsorted(last, first - stride - 1)
-    beyond = np.searchsorted(first, last - stride + 1, side="right")
-    touching = np.maximum(beyond - lowest, 0)
-    below = np.repeat(np.arange(len(first)), touching)
-    above = np.repeat(lowest - np.cumsum(touching) + touching, touching) + np.arange(touching.sum())
-    return least_labels(len(first), above, below)[run_of_pixel]
-
-
-def least_labels(count: int, a: IntArray, b: IntArray) -> IntArray:
-    """Consecutive labels (count,) of the connected components of a graph with edges a-b."""
-    label = np.arange(count)
-    if len(a) == 0:
-        return label
-    while True:
-        lower = np.minimum(label[a], label[b])
-        new = label.copy()
-        np.minimum.at(new, label[a], lower)
-        np.minimum.at(new, label[b], lower)
-        np.minimum.at(new, a, lower)
-        np.minimum.at(new, b, lower)
-        new = new[new]
-        if (new == label).all():
-            return (np.cumsum(label == np.arange(count)) - 1)[label]
-        label = new
+    rows, columns, grey = found
+    label = kernel.components(rows, columns)
+    return Lit(rows, columns, grey, label, int(label.max(initial=-1)) + 1, float(thresholds_dn.max()))

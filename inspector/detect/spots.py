@@ -1,13 +1,13 @@
-"""Lit components -> spots: one for each saturated lobe and each local maximum beside them, and what they spoil."""
+"""Lit components -> spots: one for each saturated lobe and each local maximum beside them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from inspector.detect.lit import Lit, components
+from inspector.detect import kernel
+from inspector.detect.lit import Lit
 from inspector.model import FloatArray, Image, IntArray
 
 BLOOM_PX, BLOOM_LEAST_PX = 0.75, 2
@@ -21,25 +21,20 @@ PARTED_PX = 2.5
 SADDLE_SHARE = 0.965
 """Two lobes are two only where the blurred grey value between them falls below this share of the lower."""
 
-AROUND = np.array([(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)])
-"""Row and column steps to the eight neighbours; the first four come earlier in row-major order."""
-
 
 @dataclass(frozen=True)
 class Spots:
     """Where to fit n spots: those with a saturated lobe first, then the local maxima.
 
     ``centre_px`` (n, 2) x, y; ``component`` (n,); ``saturated_px`` (n,) clipped pixels; ``narrow_px`` (n,) the lobe's
-    lesser extent; ``blind_rows``, ``blind_columns`` pixels that tell nothing; ``blooms``: charge ran over.
+    lesser extent; ``bloom``: rows and columns from a clipped pixel to where its charge ran over, (0, 0) if it did not.
     """
 
     centre_px: FloatArray
     component: IntArray
     saturated_px: IntArray
     narrow_px: FloatArray
-    blind_rows: IntArray
-    blind_columns: IntArray
-    blooms: bool
+    bloom: tuple[int, int]
 
     def with_more(self, hosts: IntArray, centre_px: FloatArray) -> Spots:
         """The same and one more spot in the component of each of the ``hosts`` (m,), at ``centre_px`` (m, 2)."""
@@ -64,17 +59,14 @@ def find_spots(image: Image, lit: Lit, saturated_dn: float) -> Spots:
     tall, wide = (_extent(lobe, v, count) for v in (rows, columns))
     home = np.zeros(count, np.intp)
     home[lobe] = lit.component[clipped]
-    peak = _local_maxima(image, lit, saturated_dn)
-    blind_rows, blind_columns, blooms = _blind(rows, columns, tall, wide)
+    peak = np.flatnonzero(kernel.peaks(image, lit.rows, lit.columns, lit.grey_dn, saturated_dn))
     none = np.zeros(len(peak))
     return Spots(
         np.vstack([centre, np.column_stack([lit.columns[peak], lit.rows[peak]])]),
         np.concatenate([home, lit.component[peak]]),
         np.concatenate([size, none.astype(np.intp)]),
         np.concatenate([np.minimum(tall, wide), none]),
-        blind_rows,
-        blind_columns,
-        blooms,
+        _bloom(tall, wide),
     )
 
 
@@ -82,7 +74,7 @@ def _lobes(image: Image, rows: IntArray, columns: IntArray, saturated_dn: float)
     """Which lobe each saturated pixel (n,) belongs to: plateaus, parted where they have a waist."""
     if len(rows) == 0:
         return np.empty(0, np.intp)
-    plateau = components(rows, columns, image.shape[1])
+    plateau = kernel.components(rows, columns)
     count = int(plateau.max()) + 1
     if max(_extent(plateau, rows, count).max(), _extent(plateau, columns, count).max()) <= SINGLE_PX:
         return plateau
@@ -163,34 +155,12 @@ def _extent(label: IntArray, value: IntArray, count: int) -> FloatArray:
     return (high - low + 1).astype(np.float64)
 
 
-def _blind(rows: IntArray, columns: IntArray, tall: FloatArray, wide: FloatArray) -> tuple[IntArray, IntArray, bool]:
-    """Pixels that tell nothing, and whether charge blooms: the saturated, and then also each end of a run.
+def _bloom(tall: FloatArray, wide: FloatArray) -> tuple[int, int]:
+    """Rows and columns to the next pixel along which charge runs over, told by the lobes' extents (n,); (0, 0): none.
 
-    An overflowing pixel fills the next along its column (or row) until one takes what is left: that one is spoilt.
+    An overflowing pixel fills the next along its column (or row) until one takes what is left.
     """
     longer = tall - wide
     if len(tall) == 0 or abs(longer.mean()) < BLOOM_PX or np.abs(longer).max() < BLOOM_LEAST_PX:
-        return rows, columns, False
-    dr, dc = (1, 0) if longer.mean() > 0 else (0, 1)
-    return np.concatenate([rows, rows + dr, rows - dr]), np.concatenate([columns, columns + dc, columns - dc]), True
-
-
-def _local_maxima(image: Image, lit: Lit, saturated_dn: float) -> IntArray:
-    """Indices into ``lit`` of unsaturated pixels that no neighbour outshines; equals go to the first."""
-    height, width = image.shape
-    dim = np.flatnonzero(lit.grey_dn < saturated_dn)
-    rows = np.minimum(np.maximum(lit.rows[dim, None] + AROUND[:, 0], 0), height - 1)
-    columns = np.minimum(np.maximum(lit.columns[dim, None] + AROUND[:, 1], 0), width - 1)
-    other = image[rows, columns]
-    most = other.max(axis=1)
-    grey = lit.grey_dn[dim]
-    # Beyond the border a pixel is compared with itself or its own neighbours: never stricter than the rule.
-    best = (grey >= most) & (most < saturated_dn) & (grey > other[:, :4].max(axis=1, initial=0, where=_inside(lit, dim)))
-    return dim[best]
-
-
-def _inside(lit: Lit, dim: IntArray) -> npt.NDArray[np.bool_]:
-    """Which of the four earlier neighbours (n, 4) lie in the image; the width does not matter for the last column."""
-    first_row, first_column = lit.rows[dim, None] == 0, lit.columns[dim, None] == 0
-    last_column = lit.columns[dim, None] == lit.width - 1
-    return ~np.concatenate([first_row | first_column, first_row, first_row | last_column, first_column], axis=1)
+        return 0, 0
+    return (1, 0) if longer.mean() > 0 else (0, 1)

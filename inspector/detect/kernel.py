@@ -1,0 +1,133 @@
+"""The compiled inner loops (`_kernel.c`), through ctypes: they hold no Python object and run without the lock."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+from ctypes import Structure, byref, c_double, c_int64, c_void_p
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from inspector.model import FloatArray, Image, IntArray
+
+
+def _library() -> ctypes.CDLL:
+    spec = importlib.util.find_spec("inspector.detect._kernel")
+    if spec is None or spec.origin is None:
+        raise ImportError("inspector.detect._kernel is not built: install the package (make setup needs a C compiler)")
+    library = ctypes.CDLL(spec.origin)
+    for name in ("kernel_components", "kernel_lit", "kernel_fit"):
+        getattr(library, name).restype = c_int64
+    library.kernel_peaks.restype = None
+    return library
+
+
+_LIBRARY = _library()
+
+
+class _Image(Structure):
+    _fields_ = (("data", c_void_p), ("bytes", c_int64), ("height", c_int64), ("width", c_int64), ("stride", c_int64))
+
+
+class Rules(Structure):
+    """How grey values become light, what is clipped, and when a fit has settled: `Rules` of `_kernel.c`."""
+
+    _fields_ = (
+        *((name, c_double) for name in ("black", "gamma", "clipped", "full", "level", "read_dn", "shot_per_dn", "pattern")),
+        *((name, c_double) for name in ("reach_px", "tangled_px", "damping", "settled_px")),
+        *((name, c_double) for name in ("held_share", "free_share", "steep_share")),
+        *((name, c_int64) for name in ("bloom_rows", "bloom_columns", "rounds")),
+    )
+
+
+def packed(image: Image) -> Image:
+    """The image with each row's pixels side by side and in native byte order; a copy only where it is needed."""
+    native = image.dtype.newbyteorder("=")
+    if image.strides[1] == image.itemsize and image.dtype == native and image.strides[0] >= 0:
+        return image
+    return np.ascontiguousarray(image, dtype=native)
+
+
+def _image(image: Image) -> _Image:
+    """The image as the kernel takes it; ``image`` must be :func:`packed` and outlive the call."""
+    height, width = image.shape
+    return _Image(image.ctypes.data, image.itemsize, height, width, image.strides[0])
+
+
+def _pointer(array: npt.NDArray[np.generic]) -> c_void_p:
+    return c_void_p(array.ctypes.data)
+
+
+def lit(image: Image, thresholds_dn: FloatArray, most: int) -> tuple[IntArray, IntArray, FloatArray] | None:
+    """Rows, columns and grey values (n,) of pixels above thresholds given at tile centres (rows, columns).
+
+    Between tile centres thresholds are bilinear, beyond them constant. None where more than ``most`` are lit.
+    """
+    rows, columns, values = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
+    tiles = np.ascontiguousarray(thresholds_dn, dtype=np.float64)
+    largest = c_double()
+    n = _LIBRARY.kernel_lit(
+        byref(_image(image)), _pointer(tiles), c_int64(tiles.shape[0]), c_int64(tiles.shape[1]), c_int64(most),
+        _pointer(rows), _pointer(columns), _pointer(values), byref(largest),
+    )  # fmt: skip
+    return None if n < 0 else (rows[:n].copy(), columns[:n].copy(), values[:n].copy())
+
+
+def components(rows: IntArray, columns: IntArray) -> IntArray:
+    """8-connected component numbers (n,) of pixels given in row-major order, in order of first pixel.
+
+    Raises MemoryError.
+    """
+    rows, columns = np.ascontiguousarray(rows, np.int64), np.ascontiguousarray(columns, np.int64)
+    label = np.empty(len(rows), np.int64)
+    if _LIBRARY.kernel_components(c_int64(len(rows)), _pointer(rows), _pointer(columns), _pointer(label)) < 0:
+        raise MemoryError("no memory for the frame's components")
+    return label
+
+
+def peaks(
+    image: Image, rows: IntArray, columns: IntArray, grey_dn: FloatArray, saturated_dn: float
+) -> npt.NDArray[np.bool_]:
+    """Which of the lit pixels (n,) are below ``saturated_dn`` and outshone by no neighbour; equals go to the first."""
+    best = np.empty(len(rows), np.bool_)
+    _LIBRARY.kernel_peaks(
+        byref(_image(image)), c_int64(len(rows)), _pointer(rows), _pointer(columns), _pointer(grey_dn),
+        c_double(saturated_dn), _pointer(best),
+    )  # fmt: skip
+    return best
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Parameters (n, 9), centre covariance (n, 2, 2), chi2 (n,) per freedom, and the worst misfit: offset, sigmas."""
+
+    theta: FloatArray
+    covariance: FloatArray
+    chi2: FloatArray
+    misfit: IntArray
+    misfit_sigma: FloatArray
+
+
+def fit(
+    image: Image,
+    rules: Rules,
+    centre: IntArray,
+    radius: FloatArray,
+    typical: npt.NDArray[np.bool_],
+    start: FloatArray,
+) -> Fit:
+    """Fit n spots around integer centres (n, 2) x, y in windows of radius (n,), from first guesses (n, 9)."""
+    n = len(centre)
+    centre, theta = np.ascontiguousarray(centre, np.int64), np.ascontiguousarray(start).copy()
+    radius, typical = np.ascontiguousarray(radius), np.ascontiguousarray(typical)
+    result = Fit(theta, np.empty((n, 2, 2)), np.empty(n), np.empty((n, 2), np.int64), np.empty(n))
+    rounds = _LIBRARY.kernel_fit(
+        byref(_image(image)), byref(rules), c_int64(n), _pointer(centre), _pointer(radius), _pointer(typical),
+        _pointer(theta), _pointer(result.covariance), _pointer(result.chi2), _pointer(result.misfit),
+        _pointer(result.misfit_sigma),
+    )  # fmt: skip
+    if rounds < 0:
+        raise MemoryError(f"no memory to fit {n} spots")
+    return result
