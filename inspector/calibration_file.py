@@ -34,6 +34,7 @@ class _Finite(Strict):
 
 
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Pixel = Annotated[list[float], Field(min_length=2, max_length=2)]
 Matrix = Annotated[list[Vector], Field(min_length=3, max_length=3)]
 
 
@@ -232,6 +233,7 @@ class CalibrationFile(_Finite):
     view_angle_deg: float | None = Field(None, gt=0, lt=90)
     """Nominal view angle beta that the thesis' method uses, degrees; null: the camera's own."""
     sensor: SensorEntry = SensorEntry()
+    """How light becomes grey values."""
     """How grey values follow from light."""
     height_gain: PositiveFloat = 1.0
     """Factor on every height, fitted from measured samples."""
