@@ -51,7 +51,7 @@ def _draw_unpaired(picture: Picture, spot: Unpaired, factor: int) -> None:
 
     x, y = _at((spot.x_px, spot.y_px), factor)
     cv2.drawMarker(picture, (x, y), AMBER, cv2.MARKER_SQUARE, 2 * RING_PX, 1, cv2.LINE_AA)
-    _write(picture, " ".join(spot.flags.names()), (x + RING_PX + 4, y + 5), AMBER)
+    _write(picture, " ".join(spot.flags.names()), (x - RING_PX, y + 2 * RING_PX + 6), AMBER)
 
 
 def _headline(result: FrameResult) -> str:
