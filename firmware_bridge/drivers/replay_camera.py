@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
 from firmware_bridge.contracts import CameraCapabilities, CameraFrame
-from firmware_bridge.drivers import frame_file
 from firmware_bridge.errors import BridgeError, DeviceGone, EndOfRecording, NoReply, OutOfRange, ReplyWrong
+from firmware_bridge.wire import image
+
+SUFFIXES = frozenset({".png", ".tif", ".tiff", ".bmp", ".pgm", ".npy"})
+"""What in a folder is a frame, by the end of its name in lower case."""
 
 EXPOSURE_MIN_US, EXPOSURE_MAX_US, EXPOSURE_STEP_US = 1.0, 1e6, 1.0
 """The range of the line camera the recordings stand for: 1 us to 1 s in steps of 1 us."""
@@ -76,15 +80,13 @@ class ReplayCamera:
         self._taken += 1
         frame_id, taken_at_s = self._taken, time.time()
         try:
-            image = frame_file.read(path)
+            grey = image.decode(path.read_bytes())
         except OSError as error:
             raise self._missing(path, error) from error
-        except ValueError as error:
-            raise ReplyWrong(
-                self._device, f"{path}: {error}", "record the frame again, or take the file away"
-            ) from error
-        self._shape = (image.shape[0], image.shape[1])
-        return CameraFrame(image, frame_id, str(path), self._exposure_us, taken_at_s)
+        except image.ImageWrong as error:
+            raise ReplyWrong(self._device, f"{path} {error}") from error  # its words end in what to do
+        self._shape = (grey.shape[0], grey.shape[1])
+        return CameraFrame(grey, frame_id, str(path), self._exposure_us, taken_at_s)
 
     def _wait_until_due(self) -> None:
         """Wait for the next tick of the rate; ticks that passed while nobody asked are not made up for."""
@@ -93,7 +95,9 @@ class ReplayCamera:
             raise DeviceGone(self._device, "closed", "open it first")
         if wait_s > self._deadline_s:
             raise NoReply(self._device, f"no frame in {self._deadline_s:g} s", "raise rate_hz or deadline_s")
-        self._due_s = max(self._due_s, time.monotonic() - self._period_s) + self._period_s
+        if self._period_s:
+            ticks = math.floor((time.monotonic() - self._due_s) / self._period_s) + 1
+            self._due_s += max(ticks, 1) * self._period_s
 
     def _next_file(self) -> Path:
         if self._position >= len(self._files):
@@ -130,4 +134,4 @@ def _frames_in(path: Path) -> list[Path]:
     if not path.is_dir():
         path.stat()
         return [path]
-    return sorted(file for file in path.iterdir() if file.suffix.lower() in frame_file.SUFFIXES)
+    return sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)

@@ -14,7 +14,7 @@ LINEAR: tuple[tuple[float, float], ...] = ((0.0, 0.0), (100.0, CLAMP_V))
 
 def volts(curve: Sequence[tuple[float, float]], percent: float) -> float:
     """Level in volts for an intensity in percent; ends of the curve are held beyond it, and never above the clamp."""
-    return min(max(_interpolate(curve, percent), 0.0), CLAMP_V)
+    return min(_interpolate(curve, percent), CLAMP_V)
 
 
 def percent(curve: Sequence[tuple[float, float]], level_v: float) -> float:
@@ -26,5 +26,5 @@ def _interpolate(points: Sequence[tuple[float, float]], x: float) -> float:
     """Piecewise linear through points of rising x; at least two of them."""
     right = min(max(bisect_right([point[0] for point in points], x), 1), len(points) - 1)
     (x0, y0), (x1, y1) = points[right - 1], points[right]
-    share = min(max((x - x0) / (x1 - x0), 0.0), 1.0)
+    share = min(max(0.0, (x - x0) / (x1 - x0)), 1.0)  # in this order NaN becomes 0: no light for no number
     return y0 * (1 - share) + y1 * share
