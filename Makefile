@@ -1,4 +1,4 @@
-# Needs python3 (3.11 or later) with venv. Debian: apt install make python3-venv
+# Needs python3 (3.11 or later) with venv, and a C compiler. Debian: apt install make gcc libc6-dev python3-venv
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -49,7 +49,8 @@ $(BIN)/python:
 # The package itself is installed in place and without its dependencies: those come from the hashed list alone.
 INSTALL = $(BIN)/pip install --quiet --disable-pip-version-check
 
-$(VENV)/run.stamp: requirements.txt pyproject.toml | $(BIN)/python
+$(VENV)/run.stamp: requirements.txt pyproject.toml inspector/detect/_kernel.c | $(BIN)/python
+	@command -v $(CC) >/dev/null || { echo "no C compiler: apt install gcc libc6-dev (or: make CC=...)" >&2; exit 1; }
 	$(INSTALL) --require-hashes -r requirements.txt
 	$(INSTALL) --no-deps --no-build-isolation --editable .
 	@touch $@
