@@ -143,7 +143,7 @@ class LampSettings(Strict):
     """Analogue output of the module that the lamp's level input is wired to, counted from 0."""
     tolerance_v: float = Field(0.05, gt=0, le=1)
     """How far the level read back may be from the level set, volts."""
-    curve: tuple[CurvePoint, ...] = Field(lamp_curve.LINEAR, min_length=2, strict=False)
+    curve: tuple[CurvePoint, ...] = Field(lamp_curve.LINEAR, strict=False, json_schema_extra={"minItems": 2})
     """Intensity in percent against level in volts, as pairs [percent, volts], both rising."""
     warm_up_s: float = Field(0.0, ge=0, le=3600)
     """Results count only after the lamp has been lit for so long, seconds."""
@@ -159,6 +159,8 @@ class LampSettings(Strict):
     @field_validator("curve")
     @classmethod
     def _curve_rises(cls, curve: tuple[CurvePoint, ...]) -> tuple[CurvePoint, ...]:
+        if len(curve) < 2:
+            raise ValueError("at least two pairs [percent, volts]")
         for (percent, level_v), (next_percent, next_level_v) in pairwise(curve):
             if next_percent <= percent or next_level_v <= level_v:
                 raise ValueError("percent and volts must both rise from pair to pair")
