@@ -119,6 +119,11 @@ def test_import_rules_hold() -> None:
     assert done.returncode == 0, done.stdout
 
 
+def test_nothing_but_commands_and_tests_uses_the_lab() -> None:
+    service = [p for p in SOURCES if "tests" not in p.parts and "lab" not in p.parts and p.name != "cli.py"]
+    assert not lines_with(r"\binspector\.lab\b|from inspector import .*\blab\b", service)
+
+
 def test_the_readme_names_commands_that_exist() -> None:
     targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     named = set(re.findall(r"(?:^    |`)make ([a-z]+)", (ROOT / "README.md").read_text(), re.MULTILINE))
