@@ -258,14 +258,17 @@ class Daemon:
 
     def _serve_anew(self, new: Settings) -> None:
         """Serve as ``new`` says. Raises PlcServerError, and then serves on as before."""
-        self._server.stop()
-        server = _server(new)
+        server, in_the_way = _server(new), new.plc.port == self._settings.plc.port
+        if in_the_way:
+            self._server.stop()
         try:
             server.start()
         except PlcServerError:
-            self._server = _server(self._settings)
-            self._server.start()
+            if in_the_way:
+                self._server = _server(self._settings)
+                self._server.start()
             raise
+        self._server.stop()
         self._server = server
         console.say(console.how_to_poll(new.plc.host, self.port))
 

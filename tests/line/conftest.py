@@ -1,0 +1,207 @@
+"""A station on loopback: settings in a folder of the test's own, the service as a process, a PLC that polls it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shutil
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from firmware_bridge.simulators.module_server import ModuleServer
+from firmware_bridge.simulators.module_state import SimulatedModule
+from firmware_bridge.wire.profiles import PROFILES
+from inspector.publish.registers import RESULT_ADDRESS, RESULT_WORDS, decode
+
+CONFIG = Path(__file__).parents[2] / "config"
+PROFILE = "tm-da1p1r1"
+FRAMES = ("A000.png", "C006.png", "F000.png")
+
+
+class Plc:
+    """A PLC: reads the result block over a socket of its own."""
+
+    def __init__(self, port: int) -> None:
+        self._socket = socket.create_connection(("127.0.0.1", port), timeout=10)
+        self._stream = self._socket.makefile("rb")
+
+    def read(self) -> dict[str, Any]:
+        """The result block by name. Raises OSError when the service has gone."""
+        self._socket.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, RESULT_ADDRESS, RESULT_WORDS))
+        answer = self._stream.read(9 + 2 * RESULT_WORDS)
+        if len(answer) < 9 + 2 * RESULT_WORDS:
+            raise ConnectionResetError
+        return decode(struct.unpack(f">{RESULT_WORDS}H", answer[9:]))
+
+    def close(self) -> None:
+        self._stream.close()
+        self._socket.close()
+
+
+class Service:
+    """The service as a process; what it writes is gathered line by line."""
+
+    def __init__(self, config: Path, wait_until: Callable[..., Any], options: list[str], **environment: str) -> None:
+        self._wait_until = wait_until
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "inspector.cli", "run", "--config", str(config), *options],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | environment,
+        )
+        self.out: list[str] = []
+        self.log: list[str] = []
+        self._readers = [self._gather(self.process.stdout, self.out), self._gather(self.process.stderr, self.log)]
+        self._clients = contextlib.ExitStack()
+
+    @staticmethod
+    def _gather(stream: Any, lines: list[str]) -> threading.Thread:
+        def run() -> None:
+            for line in stream:
+                lines.append(line.rstrip("\n"))
+
+        thread = threading.Thread(target=run, daemon=True)
+        thread.start()
+        return thread
+
+    @property
+    def port(self) -> int:
+        """The port that the service says it serves."""
+        return int(self._wait_until(lambda: self._said(r"-p (\d+) "), f"a port; log: {self.log}"))
+
+    def _said(self, pattern: str) -> str | None:
+        return next((found[1] for line in self.out if (found := re.search(pattern, line))), None)
+
+    @property
+    def results(self) -> list[str]:
+        """The lines of panels so far."""
+        return [line for line in self.out if line.startswith("#")]
+
+    def lines_to(self, sequence: int) -> list[str]:
+        """The lines of panels 1 to ``sequence``; a line follows its registers."""
+        self._wait_until(lambda: len(self.results) >= sequence, f"the line of panel {sequence}")
+        return self.results[:sequence]
+
+    def plc(self) -> Plc:
+        """A client, closed with the service."""
+        return self._clients.enter_context(contextlib.closing(Plc(self.port)))
+
+    def until(self, condition: Callable[[dict[str, Any]], Any], what: str) -> dict[str, Any]:
+        """The first registers that the condition holds for."""
+        plc = self.plc()
+        last: dict[str, Any] = {}
+
+        def met() -> dict[str, Any] | None:
+            last.update(plc.read())
+            return dict(last) if condition(last) else None
+
+        try:
+            found: dict[str, Any] = self._wait_until(met, what)
+        except pytest.fail.Exception:
+            pytest.fail(f"{what}; registers: {last}; log: {self.log}; results: {self.results[-5:]}")
+        return found
+
+    def until_fault(self, code: int) -> dict[str, Any]:
+        """The registers as soon as they show this fault code; they must then show no verdict."""
+        shown = self.until(lambda r: r["fault_code"] == code, f"fault {code}")
+        assert shown["verdict"] == 0
+        return shown
+
+    def until_inspecting(self, after: int = 0) -> dict[str, Any]:
+        """The registers as soon as they show a PASS or FAIL later than result ``after``."""
+        return self.until(lambda r: r["verdict"] and r["sequence"] > after, "a verdict")
+
+    def send(self, number: signal.Signals) -> None:
+        self.process.send_signal(number)
+
+    def ended(self) -> int:
+        """The exit status, once all its output is here."""
+        status = self.process.wait(30)
+        for reader in self._readers:
+            reader.join(10)
+        return status
+
+    def close(self) -> None:
+        self._clients.close()
+        if self.process.poll() is None:
+            self.process.kill()
+        self.ended()
+        for stream in (self.process.stdout, self.process.stderr):
+            assert stream is not None
+            stream.close()
+
+
+class Station:
+    """Settings in ``folder`` that tests change; frames beside them; the module's serial port is a link there."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.file = folder / "station.yaml"
+        self.frames = folder / "frames"
+        self.serial = folder / "module"
+        self.frames.mkdir()
+        for name in FRAMES:
+            shutil.copy(CONFIG / "frames" / name, self.frames)
+        self.settings: dict[str, Any] = {
+            "calibration": str(CONFIG / "calibration" / "demo.yaml"),
+            "camera": {"kind": "replay", "paths": ["frames"], "rate_hz": 20, "deadline_s": 1},
+            "module": {
+                "profile": PROFILE,
+                "unit": 1,
+                "deadline_s": 0.2,
+                "link": {"kind": "serial", "port": str(self.serial)},
+            },
+            "plc": {"port": 0},
+            "recipe": {"limits": {"max_height_um": 2000}},
+            "cycle": {"retry_first_s": 0.05, "retry_longest_s": 0.2},
+        }
+        self.write()
+
+    def write(self) -> Path:
+        """Put the settings into the file."""
+        self.file.write_text(yaml.safe_dump(self.settings))
+        return self.file
+
+
+@pytest.fixture
+def station(tmp_path: Path) -> Station:
+    return Station(tmp_path)
+
+
+@pytest.fixture
+def module(station: Station) -> Iterator[Callable[[], ModuleServer]]:
+    """``module()``: a simulated module plugged in at the station's serial port, until it is stopped."""
+    with contextlib.ExitStack() as stack:
+
+        def plug_in() -> ModuleServer:
+            simulated = SimulatedModule(PROFILES[PROFILE], lambda: 0.0)
+            server = ModuleServer(simulated, 1, symlink=station.serial).start()
+            stack.callback(server.stop)
+            return server
+
+        yield plug_in
+
+
+@pytest.fixture
+def service(station: Station, wait_until: Callable[..., Any]) -> Iterator[Callable[..., Service]]:
+    """``service(*options, **environment)``: the service at work with the station's settings."""
+    with contextlib.ExitStack() as stack:
+
+        def start(*options: str, **environment: str) -> Service:
+            started = Service(station.file, wait_until, list(options), **environment)
+            stack.callback(started.close)
+            return started
+
+        yield start
