@@ -4,22 +4,7 @@
  * it builds with any C compiler and runs without the interpreter's lock. All arrays are C-contiguous; counts are int64.
  * A function that runs out of room or memory returns a negative number and leaves nothing behind.
  */
-#include <math.h>
-#include <stdint.h>
-#include <stdlib.h>
-#include <string.h>
-
-typedef int64_t i64;
-
-typedef struct {      /* a grey image of 1 or 2 bytes a pixel; rows lie `stride` bytes apart */
-    const uint8_t *data;
-    i64 bytes, height, width, stride;
-} Image;
-
-static inline double grey(const Image *im, i64 row, i64 column) {
-    const uint8_t *p = im->data + row * im->stride;
-    return im->bytes == 1 ? p[column] : ((const uint16_t *)p)[column];
-}
+#include "_kernel.h"
 
 static unsigned peak_u8(const uint8_t *p, i64 n) {
     uint8_t m = 0;
@@ -236,7 +221,7 @@ static void normal_equations(const Work *w, i64 i, const double *t, const double
 }
 
 /* Solve the m x m system in place by elimination with pivots; columns of `right` are (m, k). 0 where singular. */
-static int solve(i64 m, double *a, i64 k, double *right) {
+int kernel_solve(i64 m, double *a, i64 k, double *right) {
     for (i64 c = 0; c < m; c++) {
         i64 pivot = c;
         for (i64 r = c + 1; r < m; r++)
@@ -295,7 +280,7 @@ static int joint_step(const Work *w, const Rules *u, const double *theta, const 
             }
         }
     }
-    int fine = solve(m, system, 1, right);
+    int fine = kernel_solve(m, system, 1, right);
     if (fine)
         for (i64 a = 0; a < size; a++) memcpy(step + members[a] * PARAMETERS, right + a * PARAMETERS, PARAMETERS * sizeof *step);
     free(system);
@@ -364,7 +349,7 @@ static double fit_round(const Work *w, const Rules *u, const i64 *centre, const 
         normal_equations(w, i, theta + i * Q, expected + i * Q, prior + i * Q, normal + i * QQ, gradient + i * Q);
         memcpy(a, normal + i * QQ, sizeof a);
         memcpy(step + i * Q, gradient + i * Q, PARAMETERS * sizeof *step);
-        if (!solve(PARAMETERS, a, 1, step + i * Q)) memset(step + i * Q, 0, PARAMETERS * sizeof *step);
+        if (!kernel_solve(PARAMETERS, a, 1, step + i * Q)) memset(step + i * Q, 0, PARAMETERS * sizeof *step);
     }
     for (i64 i = 0; i < w->n; i++) {
         i64 size = 0;
@@ -383,7 +368,7 @@ static void report(const Work *w, const double *normal, double *covariance, doub
         i64 used = 0, where = 0;
         memcpy(a, normal + i * PARAMETERS * PARAMETERS, sizeof a);
         right[0] = right[3] = 1;
-        int fine = solve(PARAMETERS, a, 2, right);
+        int fine = kernel_solve(PARAMETERS, a, 2, right);
         for (int k = 0; k < 4; k++) covariance[4 * i + k] = fine ? right[k] : NAN;
         for (i64 k = 0; k < w->p; k++) {
             i64 at = i * w->p + k;

@@ -65,6 +65,12 @@ class Response:
             np.maximum((grey_dn - self.black_dn) / span, 0.0) ** (1 / self.sensor.gamma) * span + self.black_dn
         )
 
+    def variance(self, light: FloatArray) -> FloatArray:
+        """Variance of linear light, DN^2: read noise, shot noise over the background, pattern."""
+        rules = self.rules((0, 0), 0.0)
+        signal = np.maximum(light - rules.level, 0.0)
+        return np.asarray(rules.read_dn**2 + signal * rules.shot_per_dn + (rules.pattern * light) ** 2)
+
     def rules(self, bloom: tuple[int, int], reach_px: float) -> kernel.Rules:
         """What the fit goes by. ``bloom``: rows and columns from a clipped pixel to where its charge runs."""
         scale = self.sensor.saturation_dn / 255
@@ -92,7 +98,7 @@ class Response:
 
 @dataclass(frozen=True)
 class Fitted:
-    """Centres (n, 2) px with covariance (n, 2, 2), peak (n,) DN, flux (n,) DN px, chi2 (n,) per degree of freedom.
+    """Centres (n, 2) px with covariance (n, 2, 2), peak (n,) DN, flux (n,) DN px, blur variance (n,) px^2, chi2 (n,).
 
     ``misfit_px`` (n, 2) is the pixel where the data exceed the model most, by ``misfit_sigma`` (n,) deviations.
     """
@@ -101,6 +107,7 @@ class Fitted:
     covariance_px2: FloatArray
     peak_dn: FloatArray
     flux_dn: FloatArray
+    blur_px2: FloatArray
     chi2: FloatArray
     misfit_px: FloatArray
     misfit_sigma: FloatArray
@@ -123,12 +130,13 @@ def fit(
     done = kernel.fit(image, response.rules(bloom, 2 * float(radius.max())), centre, radius, typical, start)
     theta = done.theta
     peak = np.exp(theta[:, LOG_PEAK])
-    blur2 = theta[:, SXX] * theta[:, SYY] - theta[:, SXY] ** 2
+    blur2 = np.sqrt(np.maximum(theta[:, SXX] * theta[:, SYY] - theta[:, SXY] ** 2, 1e-6))
     return Fitted(
         xy_px=centre + theta[:, :2],
         covariance_px2=done.covariance,
         peak_dn=peak,
-        flux_dn=2 * np.pi * np.sqrt(np.maximum(blur2, 1e-6)) * peak,
+        flux_dn=2 * np.pi * blur2 * peak,
+        blur_px2=blur2,
         chi2=done.chi2,
         misfit_px=(centre + done.misfit).astype(np.float64),
         misfit_sigma=done.misfit_sigma,

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
+from inspector.detect import bloom, kernel
 from inspector.detect import fit as fitting
-from inspector.detect import kernel
 from inspector.detect import lit as lit_stage
 from inspector.detect.fit import Response
 from inspector.detect.lit import Background, Lit
@@ -124,15 +124,20 @@ def _measured(
         if len(proven):
             spots = spots.with_more(more[0][proven], more[1][proven])
             fitted, start, area, flags = _fitted(image, lit, spots, ground, detection, response)
+    solved: list[bloom.Solved] = []
+    if any(spots.bloom):
+        spots, solved = bloom.refine(image, lit, spots, fitted, response)
+        if len(spots.centre_px) > len(fitted.chi2):
+            fitted, start, area, flags = _fitted(image, lit, spots, ground, detection, response)
     covariance, xy, flux = _believed(fitted, spots)
-    saturated = spots.saturated_px > 0
-    flux_sigma = np.where(saturated, CLIPPED_FLUX_SIGMA, FLUX_SIGMA)
+    flux_sigma = np.where(spots.saturated_px > 0, CLIPPED_FLUX_SIGMA, FLUX_SIGMA)
     if any(spots.bloom):
         centroid, charge = _charge(lit, spots, start, response)
-        alone = saturated & ((flags & Flag.MERGED) == 0)
-        xy[alone], covariance[alone] = centroid[alone], BLOOM_SIGMA_PX**2 * np.eye(2)
-        covariance[saturated & ~alone] += MERGED_BLOOM_SIGMA_PX**2 * np.eye(2)
-        flux[saturated], flux_sigma[saturated] = charge[saturated], BLOOM_FLUX_SIGMA
+        clipped = spots.saturated_px > 0
+        xy[clipped], covariance[clipped] = centroid[clipped], BLOOM_SIGMA_PX**2 * np.eye(2)
+        flux[clipped], flux_sigma[clipped] = charge[clipped], BLOOM_FLUX_SIGMA
+        for found in solved:
+            _place(found, xy, covariance, flux, flux_sigma)
     return Highlights(
         xy_px=xy,
         covariance_px2=covariance,
@@ -212,9 +217,7 @@ def _start(
     return start
 
 
-def _flags(
-    image: Image, lit: Lit, spots: Spots, area: FloatArray, detection: Detection
-) -> IntArray:
+def _flags(image: Image, lit: Lit, spots: Spots, area: FloatArray, detection: Detection) -> IntArray:
     """Flags (n,) of each spot."""
     flags = np.zeros(len(area), np.intp)
     flags[spots.saturated_px > 0] |= Flag.SATURATED
@@ -274,6 +277,21 @@ def _charge(lit: Lit, spots: Spots, start: FloatArray, response: Response) -> tu
     return np.where(total[:, None] > 1, moments / total[:, None], spots.centre_px), total
 
 
+def _place(
+    found: bloom.Solved, xy: FloatArray, covariance: FloatArray, flux: FloatArray, flux_sigma: FloatArray
+) -> None:
+    """Write a solved cluster's centres, covariance and flux over what the plain fit said of its members.
+
+    A lone spot keeps its charge's centroid, which uneven ground under it moves less than the fit.
+    """
+    members = found.cluster.members
+    if len(members) == 1:
+        return
+    xy[members], flux[members] = found.places, found.fluxes
+    covariance[members] = found.place_covariance + BLOOM_SIGMA_PX**2 * np.eye(2)
+    flux_sigma[members] = CLIPPED_FLUX_SIGMA
+
+
 def _binary_centroids(lit: Lit) -> FloatArray:
     """Centroids (components, 2) of lit pixels, all of one weight."""
     size = np.bincount(lit.component, minlength=lit.count)
@@ -284,6 +302,15 @@ def none(threshold_dn: float, ground: Background) -> Highlights:
     """A frame without highlights."""
     empty = np.empty(0)
     return Highlights(
-        np.empty((0, 2)), np.empty((0, 2, 2)), empty, empty, empty, empty.astype(np.intp), empty.astype(np.intp),
-        np.empty((0, 2)), threshold_dn, ground.level_dn, ground.noise_dn,
+        np.empty((0, 2)),
+        np.empty((0, 2, 2)),
+        empty,
+        empty,
+        empty,
+        empty.astype(np.intp),
+        empty.astype(np.intp),
+        np.empty((0, 2)),
+        threshold_dn,
+        ground.level_dn,
+        ground.noise_dn,
     )

@@ -18,7 +18,7 @@ def _library() -> ctypes.CDLL:
     if spec is None or spec.origin is None:
         raise ImportError("inspector.detect._kernel is not built: install the package (make setup needs a C compiler)")
     library = ctypes.CDLL(spec.origin)
-    for name in ("kernel_components", "kernel_lit", "kernel_fit"):
+    for name in ("kernel_components", "kernel_lit", "kernel_fit", "bloom_fit"):
         getattr(library, name).restype = c_int64
     library.kernel_peaks.restype = None
     return library
@@ -35,7 +35,10 @@ class Rules(Structure):
     """How grey values become light, what is clipped, and when a fit has settled: `Rules` of `_kernel.c`."""
 
     _fields_ = (
-        *((name, c_double) for name in ("black", "gamma", "clipped", "full", "level", "read_dn", "shot_per_dn", "pattern")),
+        *(
+            (name, c_double)
+            for name in ("black", "gamma", "clipped", "full", "level", "read_dn", "shot_per_dn", "pattern")
+        ),
         *((name, c_double) for name in ("reach_px", "tangled_px", "damping", "settled_px")),
         *((name, c_double) for name in ("held_share", "free_share", "steep_share")),
         *((name, c_int64) for name in ("bloom_rows", "bloom_columns", "rounds")),
@@ -44,10 +47,9 @@ class Rules(Structure):
 
 def packed(image: Image) -> Image:
     """The image with each row's pixels side by side and in native byte order; a copy only where it is needed."""
-    native = image.dtype.newbyteorder("=")
-    if image.strides[1] == image.itemsize and image.dtype == native and image.strides[0] >= 0:
+    if image.strides[1] == image.itemsize and image.dtype.isnative and image.strides[0] >= 0:
         return image
-    return np.ascontiguousarray(image, dtype=native)
+    return image.astype(image.dtype.newbyteorder("="), order="C")
 
 
 def _image(image: Image) -> _Image:
@@ -131,3 +133,43 @@ def fit(
     if rounds < 0:
         raise MemoryError(f"no memory to fit {n} spots")
     return result
+
+
+@dataclass(frozen=True)
+class BloomFit:
+    """Parameters (m,), their covariance (m, m), the sum of squares reached and each pixel's deviation (h, w)."""
+
+    theta: FloatArray
+    covariance: FloatArray
+    cost: float
+    deviation: FloatArray
+
+
+def bloom_fit(
+    light: FloatArray,
+    weight: FloatArray,
+    *,
+    along_rows: bool,
+    full_dn: float,
+    end_variance: float,
+    start: FloatArray,
+    prior: FloatArray,
+    rounds: int,
+) -> BloomFit:
+    """Fit spots and the overflow of their charge to a patch (h, w): `bloom_fit` of `_bloom.c`.
+
+    ``start`` (3 k + 5,) and ``prior`` (inverse variances about it): k times x, y, log flux; level, slopes, log blur
+    variance, kept. ``along_rows``: charge runs along a column. Raises MemoryError.
+    """
+    height, width = light.shape
+    theta, m = start.copy(), len(start)
+    covariance, deviation, cost = np.empty((m, m)), np.empty((height, width)), c_double()
+    light, weight, prior = (np.ascontiguousarray(a, np.float64) for a in (light, weight, prior))
+    done = _LIBRARY.bloom_fit(
+        c_int64(height), c_int64(width), c_int64(along_rows), _pointer(light), _pointer(weight), c_double(full_dn),
+        c_double(end_variance), c_int64((m - 5) // 3), _pointer(theta), _pointer(prior), c_int64(rounds),
+        _pointer(covariance), byref(cost), _pointer(deviation),
+    )  # fmt: skip
+    if done < 0:
+        raise MemoryError("no memory to fit a bloomed patch")
+    return BloomFit(theta, covariance, cost.value, deviation)

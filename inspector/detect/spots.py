@@ -101,7 +101,9 @@ def _parted_runs(lobe: IntArray, along: IntArray, across: IntArray) -> IntArray:
     for k in range(count):
         mine = np.flatnonzero(lobe == k)
         runs = np.unique(across[mine])
-        middle = np.array([(along[mine][across[mine] == c].min() + along[mine][across[mine] == c].max()) / 2 for c in runs])
+        middle = np.array(
+            [(along[mine][across[mine] == c].min() + along[mine][across[mine] == c].max()) / 2 for c in runs]
+        )
         length = np.array([np.ptp(along[mine][across[mine] == c]) for c in runs])
         low, high = middle.min(), middle.max()
         if high - low > PARTED_PX and length.max() > high - low:
@@ -117,7 +119,7 @@ def _blurred(image: Image, rows: IntArray, columns: IntArray, saturated_dn: floa
     height, width = image.shape
     r, c = rows[:, None] + span, columns[:, None] + span
     grey = image[np.clip(r, 0, height - 1)[:, :, None], np.clip(c, 0, width - 1)[:, None, :]]
-    return np.einsum("nij,i,j->n", np.minimum(grey, saturated_dn).astype(np.float64), kernel, kernel)
+    return np.asarray(np.einsum("nij,i,j->n", np.minimum(grey, saturated_dn).astype(np.float64), kernel, kernel))
 
 
 def _tops(rows: IntArray, columns: IntArray, value: FloatArray) -> IntArray:
@@ -152,7 +154,7 @@ def _extent(label: IntArray, value: IntArray, count: int) -> FloatArray:
     low, high = np.full(count, np.iinfo(np.intp).max), np.full(count, -1)
     np.minimum.at(low, label, value)
     np.maximum.at(high, label, value)
-    return (high - low + 1).astype(np.float64)
+    return np.asarray(high - low + 1, np.float64)
 
 
 def _bloom(tall: FloatArray, wide: FloatArray) -> tuple[int, int]:
