@@ -54,11 +54,14 @@ class Document:
         return Problem(mark, path_text(place), short(value), allowed)
 
     def including(self, key: str, part: Document) -> Document:
-        """This document with the value of its top-level ``key`` taken from another file."""
+        """This document with the value of its top-level ``key`` taken from another file; without it, if that failed."""
         assert isinstance(self.data, dict)
+        data = {name: value for name, value in self.data.items() if name != key}
+        if part.data is not None or not part.problems:
+            data[key] = part.data
         marks = self.marks | {(key, *place): mark for place, mark in part.marks.items()}
         problems = tuple(replace(p, path=".".join(filter(None, (key, p.path)))) for p in part.problems)
-        return Document(self.source, self.data | {key: part.data}, marks, self.problems + problems)
+        return Document(self.source, data, marks, self.problems + problems)
 
 
 class _Loader(yaml.SafeLoader):
@@ -193,13 +196,14 @@ def _child(node: Schema, part: int | str) -> Schema:
 
 
 def _plain(node: Schema, root: Schema) -> Schema:
-    """The schema itself where there is a reference to it; the one that is not null where null is allowed too."""
+    """The schema itself where there is a reference to it; of alternatives the model, or the one that is not null."""
     while True:
         choices = [choice for choice in node.get("anyOf", ()) if choice.get("type") != "null"]
+        models = [choice for choice in choices if "$ref" in choice] or choices
         if "$ref" in node:
             node = root["$defs"][node["$ref"].removeprefix("#/$defs/")]
-        elif len(choices) == 1:
-            node = choices[0] | {"nullable": True}
+        elif len(models) == 1:
+            node = models[0] | {"nullable": len(choices) < len(node["anyOf"])}
         else:
             return node
 
