@@ -78,6 +78,11 @@ class Solved:
         return np.stack(blocks) * max(self.chi2, 1.0)
 
     @property
+    def blur_px2(self) -> float:
+        """Variance of the blur, px^2."""
+        return float(np.exp(self.theta[-2]))
+
+    @property
     def kept(self) -> float:
         """The share of overflow that survived each step."""
         return float(self.theta[-1])
@@ -92,6 +97,8 @@ def refine(
     first = [_solve(c, spots, response, blur2, KEPT, KEPT_SIGMA) for c in clusters]
     alone = [s for s in first if len(s.cluster.members) == 1]
     kept, sigma = (float(np.median([s.kept for s in alone])), SAME_KEPT_SIGMA) if alone else (KEPT, KEPT_SIGMA)
+    if len(alone) >= 3:
+        blur2 = float(np.median([s.blur_px2 for s in alone]))
     least = min((s.chi2 for s in first), default=0.0)
     solved = []
     for found in first:
