@@ -75,8 +75,8 @@ class Camera:
             return undistorted_mm
         ru = np.linalg.norm(undistorted_mm, axis=1, keepdims=True)
         # Start above the root where kappa1 > 0 (f is convex there), at r_u where it is not: Newton is then monotone.
-        rd = np.minimum(ru, np.cbrt(ru / k)) if k > 0 else ru
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            rd = np.minimum(ru, np.cbrt(ru / k)) if k > 0 else ru
             for _ in range(20):
                 step = (rd * (1 + k * rd * rd) - ru) / (1 + 3 * k * rd * rd)
                 rd = rd - step

@@ -112,9 +112,10 @@ def fit(points: Points, sensor: SensorConstants, method: Method = "reprojection"
     Raises BoardRefused for a degenerate board and for a fit that explains nothing.
     """
     camera = fit_camera(points, sensor, method)
+    _check_camera(points, camera)
     unit = _propagated(points, sensor, camera) if method == "tsai" else _least_squares_covariance(points, camera)
     fitted = Fit(method, camera, points, _noise_px(points, camera) ** 2 * unit)
-    _check_fit(fitted)
+    _check_uncertainty(fitted)
     return fitted
 
 
@@ -173,15 +174,15 @@ def _check_tilt(tilt_deg: float) -> None:
         )
 
 
-def _check_fit(fitted: Fit) -> None:
+def _check_camera(points: Points, camera: Camera) -> None:
     """Refuse a camera that does not explain its points or does not look at the panel's front."""
-    camera, worst = fitted.camera, fitted.distances_px
+    away = np.linalg.norm(points.xy_px - camera.project(points.world_mm), axis=1)
     limit = MAX_RESIDUAL_SHARE * camera.width_px
-    if not np.max(worst) <= limit:
-        n = int(np.argmax(np.where(np.isfinite(worst), worst, np.inf)))
+    if not np.max(away) <= limit:
+        n = int(np.argmax(np.where(np.isfinite(away), away, np.inf)))
         raise BoardRefused(
-            f"no camera explains the points: point {n + 1} is {worst[n]:.1f} px from where it should be (limit"
-            f" {limit:.1f}, mean {np.mean(worst):.1f}); check its coordinates, the numbering and the sensor constants"
+            f"no camera explains the points: point {n + 1} is {away[n]:.1f} px from where it should be (limit"
+            f" {limit:.1f}, mean {np.mean(away):.1f}); check its coordinates, the numbering and the sensor constants"
         )
     if not camera.centre_mm[2] > 0:
         raise BoardRefused(
@@ -189,11 +190,15 @@ def _check_fit(fitted: Fit) -> None:
             " swap or reverse one of the board's axes"
         )
     _check_tilt(min(camera.view_angle_deg, 180 - camera.view_angle_deg))
-    f_sigma = float(np.sqrt(fitted.covariance[6, 6])) / camera.f_mm
-    if not f_sigma <= MAX_F_SIGMA:
+
+
+def _check_uncertainty(fitted: Fit) -> None:
+    """Refuse a camera that the points leave open."""
+    f_share = float(np.sqrt(fitted.covariance[6, 6])) / fitted.camera.f_mm
+    if not f_share <= MAX_F_SIGMA:
         raise BoardRefused(
-            f"the focal length is known only to {100 * f_sigma:.0f} %: let the board fill more of the image, tilt it"
-            " more, or measure its points better"
+            f"the focal length is known no better than to {100 * f_share:.0f} %: let the board fill more of the image,"
+            " tilt it more, or measure its points better"
         )
 
 
@@ -350,6 +355,8 @@ def _least_squares_covariance(points: Points, camera: Camera) -> FloatArray:
         (camera.perturbed(step).project(points.world_mm) - camera.perturbed(-step).project(points.world_mm)).ravel()
         for step in np.diag(steps)
     ]
+    if not np.isfinite(moved).all():  # at the end of the distortion's reach: nothing is known of such a camera
+        return np.full((len(PARAMETERS), len(PARAMETERS)), np.inf)
     jacobian = np.array(moved).T / 2e-6  # by parameters in units of their scales, so that the inverse is well posed
     covariance = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
     return np.asarray((covariance + covariance.T) / 2 * np.outer(scales, scales))

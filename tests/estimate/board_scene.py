@@ -53,7 +53,9 @@ class Scene:
         rotation = turn @ upright
         shift = np.array([*self.aim_px, 0.0]) * 0.0075 / self.f_mm * self.distance_mm
         translation = -rotation @ (self.middle_mm + self.distance_mm * away) + shift
-        return Camera(640, 480, self.f_mm, self.kappa1_per_mm2, 1.0, 320.0, 240.0, 0.0075, 0.0075, rotation, translation)
+        return Camera(
+            640, 480, self.f_mm, self.kappa1_per_mm2, 1.0, 320.0, 240.0, 0.0075, 0.0075, rotation, translation
+        )
 
 
 def render(
