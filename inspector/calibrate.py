@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,18 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
-from inspector import calibration_file, imagefile, optics
+from inspector import calibration_file, csv_table, imagefile, optics
+from inspector.csv_table import InputRefused
 from inspector.estimate.calibration import BoardRefused, Fit, Method, Points, SensorConstants, angles_deg, fit
+from inspector.estimate.height_gain import SamplesRefused
 from inspector.model import FloatArray, Image
 
 COLUMNS = ("xw_mm", "yw_mm", "zw_mm", "Xf_px", "Yf_px")
 """Columns that a file of points must have, in any order and among others."""
 TABLE_5_1 = SensorConstants()
 """The thesis' sensor, the default."""
-
-
-class InputRefused(ValueError):
-    """What the command was given does not fit together or cannot be read; the message names place and remedy."""
+REFUSALS = (
+    InputRefused, BoardRefused, SamplesRefused, imagefile.FrameUnreadable, calibration_file.CalibrationError, OSError
+)  # fmt: skip
+"""All that the command refuses with a message and no traceback."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +77,18 @@ def refusals() -> Iterator[None]:
     """Turn whatever the command refuses into its message on standard error and exit status 1."""
     try:
         yield
-    except (InputRefused, BoardRefused, imagefile.FrameUnreadable, calibration_file.CalibrationError, OSError) as error:
+    except REFUSALS as error:
         raise SystemExit(f"error: {error}") from error
+
+
+def check_sources(points: Path | None, board: Path | None, heights: Path | None, calibration: Path | None) -> None:
+    """Refuse all but one thing to calibrate from. Raises InputRefused."""
+    if sum(given is not None for given in (points, board, heights)) != 1:
+        raise InputRefused("give exactly one of --points FILE.csv, --board IMAGE and --heights FILE.csv")
+    if (heights is None) != (calibration is None):
+        raise InputRefused(
+            "--heights FILE.csv and --calibration IN.yaml go together: the samples' frames and their camera"
+        )
 
 
 def source(
@@ -89,8 +100,6 @@ def source(
     square_mm: float | None,
 ) -> Path | tuple[Path, BoardOptions]:
     """What to calibrate from, as the options say. Raises InputRefused."""
-    if (points is None) == (board is None):
-        raise InputRefused("give exactly one of --points FILE.csv and --board IMAGE")
     if points is not None:
         return points
     assert board is not None
@@ -140,28 +149,7 @@ def from_board(image: Image, board: BoardOptions, sensor: SensorConstants, metho
 
 def read_points(path: Path) -> Points:
     """The points in a CSV file with the columns :data:`COLUMNS`. Raises InputRefused with every problem at once."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
-            missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
-            if missing:
-                raise InputRefused(f"{path}:1: columns missing: {', '.join(missing)}; needed: {', '.join(COLUMNS)}")
-            rows = [(reader.line_num, [row[name] for name in COLUMNS]) for row in reader]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputRefused(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    return _points(path, rows)
-
-
-def _points(path: Path, rows: list[tuple[int, list[str | None]]]) -> Points:
-    table, problems = np.full((len(rows), len(COLUMNS)), np.nan), []
-    for n, (line, cells) in enumerate(rows):
-        for k, (name, cell) in enumerate(zip(COLUMNS, cells, strict=True)):
-            try:
-                table[n, k] = float(cell or "")
-            except ValueError:
-                problems.append(f"{path}:{line}: {name}: {cell!r}; allowed: a number")
-    if problems:
-        raise InputRefused("\n".join(problems))
+    table = np.array(csv_table.numbers(path, COLUMNS, csv_table.read(path, COLUMNS))).reshape(-1, len(COLUMNS))
     return Points(table[:, :3], table[:, 3:])
 
 

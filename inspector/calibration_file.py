@@ -299,6 +299,11 @@ def write(path: Path, calibration: optics.Calibration, residuals: Residuals | No
         entry = CalibrationFile.model_validate(_document(calibration) | {"residuals": residuals})
     except ValidationError as error:
         raise CalibrationError(f"no calibration to write: {error}") from error
+    save(path, entry)
+
+
+def save(path: Path, entry: CalibrationFile) -> None:
+    """Put a calibration file's content at ``path``, whole or not at all. Raises OSError."""
     text = yaml.safe_dump(
         entry.model_dump(mode="json", exclude_none=True), sort_keys=False, default_flow_style=None, width=120
     )

@@ -82,6 +82,13 @@ def calibrate(
     output: Annotated[Path, typer.Option(help="Calibration file to write, YAML.")],
     points: Annotated[Path | None, typer.Option(help="CSV: xw_mm, yw_mm, zw_mm, Xf_px, Yf_px.")] = None,
     board: Annotated[Path | None, typer.Option(help="Image of a board of bright squares on black.")] = None,
+    heights: Annotated[
+        Path | None, typer.Option(help="CSV of measured samples: frame, x_mm, y_mm, height_mm; fits the height gain.")
+    ] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(help="With --heights: the calibration to add the gain to.")
+    ] = None,
+    tolerance_mm: Annotated[float, typer.Option(help="With --heights: how far a sample may be from its defect.")] = 2.0,
     pitch_mm: Annotated[float | None, typer.Option(help="Board: distance of the squares' centres.")] = None,
     columns: Annotated[int | None, typer.Option(help="Board: squares along x.")] = None,
     rows: Annotated[int | None, typer.Option(help="Board: squares along y.")] = None,
@@ -101,10 +108,16 @@ def calibrate(
     view_angle_deg: Annotated[float | None, typer.Option(help="Nominal view angle; default: as fitted.")] = None,
     overlay: Annotated[Path | None, typer.Option(help="Picture; default: beside the output, .overlay.png.")] = None,
 ) -> None:
-    """Fit the camera from points or from the image of a board, and write its calibration file."""
+    """Fit the camera to points or to the image of a board, or the height gain to samples; write a calibration file."""
     from inspector import calibrate as command
 
     with command.refusals():
+        command.check_sources(points, board, heights, calibration)
+        if heights is not None and calibration is not None:
+            from inspector import calibrate_heights
+
+            typer.echo(calibrate_heights.run(heights, calibration, output, tolerance_mm) + f"\n\ncalibration: {output}")
+            return
         source = command.source(points, board, pitch_mm, columns, rows, square_mm)
         sensor = command.SensorOptions(width_px, height_px, dx_mm, dy_mm, cx_px, cy_px, sx)
         outcome = command.run(source, sensor, method.value)
