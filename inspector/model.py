@@ -62,6 +62,8 @@ class Flag(enum.IntFlag):
     DUST = 1 << 10
     AMBIGUOUS = 1 << 11
     FAINT = 1 << 12
+    TOUCHING = 1 << 13
+    SUNK = 1 << 14
 
     def names(self) -> tuple[str, ...]:
         """The set flags' names in lower case, lowest bit first."""

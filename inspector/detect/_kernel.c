@@ -117,6 +117,24 @@ void kernel_peaks(const Image *im, i64 n, const i64 *rows, const i64 *columns, c
     }
 }
 
+/* Marks spots of one pixel that no lens can have made: the four beside it hold together under `share` of its light. */
+void kernel_hot(const Image *im, i64 n, const i64 *centre, double share, uint8_t *is_hot) {
+    for (i64 i = 0; i < n; i++) {
+        i64 c = centre[2 * i], r = centre[2 * i + 1];
+        is_hot[i] = 0;
+        if (r < 1 || c < 1 || r >= im->height - 1 || c >= im->width - 1) continue;
+        double beside[4] = {grey(im, r, c - 1), grey(im, r, c + 1), grey(im, r - 1, c), grey(im, r + 1, c)};
+        double corner[4] = {grey(im, r - 1, c - 1), grey(im, r - 1, c + 1), grey(im, r + 1, c - 1), grey(im, r + 1, c + 1)};
+        double ground = INFINITY, low = INFINITY, high = -INFINITY, sum = 0, corners = 0;
+        for (int k = 0; k < 4; k++) {
+            ground = fmin(ground, beside[k]), low = fmin(low, corner[k]), high = fmax(high, corner[k]);
+            sum += beside[k], corners += corner[k];
+        }
+        ground = fmin(ground, (corners - low - high) / 2);
+        is_hot[i] = sum - 4 * ground < share * (grey(im, r, c) - ground);
+    }
+}
+
 enum { X, Y, LOG_PEAK, SXX, SXY, SYY, BACKGROUND, SLOPE_X, SLOPE_Y, PARAMETERS };
 enum { SHAPE = 6 };
 

@@ -2,7 +2,7 @@
 
 A linear sensor without enough anti-blooming fills the pixels along a column once one is full. The light that fell is
 then known only through where the charge went: each full pixel passes its excess half up, half down, and a share
-``kept`` survives each step. That share is the sensor's; it is taken from the frame's lone spots and held for the others.
+``kept`` survives each step. That share is the sensor's; the frame's lone spots tell it for those that touch.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from inspector.detect import kernel
 from inspector.detect.fit import Fitted, Response
@@ -17,6 +18,8 @@ from inspector.detect.lit import Lit
 from inspector.detect.spots import Spots
 from inspector.model import FloatArray, Image, IntArray
 
+CHARGE_SHARE = 0.15
+"""Only pixels above this share of full scale count as charge: fainter light is halo, uneven on lit and dark ground."""
 MARGIN_PX = 3
 """Dark border of a patch around a cluster's lit pixels."""
 KEPT, KEPT_SIGMA, SAME_KEPT_SIGMA = 0.75, 0.25, 0.02
@@ -88,9 +91,25 @@ class Solved:
         return float(self.theta[-1])
 
 
-def refine(
-    image: Image, lit: Lit, spots: Spots, fitted: Fitted, response: Response
-) -> tuple[Spots, list[Solved]]:
+def charge(lit: Lit, spots: Spots, ground_light: FloatArray, response: Response) -> tuple[FloatArray, FloatArray]:
+    """Centroids (n, 2) of the lit pixels nearest to each spot, weighted by light over its ground (n,), and their sum.
+
+    Charge runs both ways alike and clipping is even on both sides, so what is left of a lone spot's keeps its centre.
+    """
+    n = len(spots.centre_px)
+    at = np.column_stack([lit.columns, lit.rows]).astype(np.float64)
+    distance = np.abs(at[:, None] - spots.centre_px).sum(axis=2)
+    distance[lit.component[:, None] != spots.component] = np.inf
+    owner = distance.argmin(axis=1)
+    ground = ground_light[owner]
+    weight = response.light(lit.grey_dn) - ground
+    weight[weight < CHARGE_SHARE * (response.sensor.saturation_dn - ground)] = 0.0
+    total = np.maximum(np.bincount(owner, weight, n), 1.0)
+    moments = np.column_stack([np.bincount(owner, weight * at[:, k], n) for k in (0, 1)])
+    return np.where(total[:, None] > 1, moments / total[:, None], spots.centre_px), total
+
+
+def refine(image: Image, lit: Lit, spots: Spots, fitted: Fitted, response: Response) -> tuple[Spots, list[Solved]]:
     """The clusters of a blooming frame's clipped spots, solved; and the spots with those found hidden in them."""
     blur2 = max(float(np.median(fitted.blur_px2)) - 1 / 12, 0.1)
     clusters = [c for c in _clusters(image, lit, spots, fitted, response) if c is not None]
@@ -121,7 +140,9 @@ def _with_hidden(
         place = np.array([column, row], np.float64)
         crowd = spots.with_more(c.members[:1], (place + c.corner)[None])
         shares = found.theta[: 3 * len(c.members)].reshape(-1, 3)
-        start = np.concatenate([found.theta[: 3 * len(c.members)], place, [shares[:, 2].min() - 0.7], found.theta[-5:-2]])
+        start = np.concatenate(
+            [found.theta[: 3 * len(c.members)], place, [shares[:, 2].min() - 0.7], found.theta[-5:-2]]
+        )
         wider = replace(c, members=np.append(c.members, len(crowd.centre_px) - 1), start=start)
         trial = _solve(wider, crowd, response, blur2, kept, sigma)
         if trial.chi2 > HIDDEN_GAIN * found.chi2:
@@ -132,8 +153,8 @@ def _with_hidden(
 
 def _smooth(deviation: FloatArray) -> FloatArray:
     """Deviations summed over 3 x 3 pixels: a hidden spot is as wide."""
-    wide = np.pad(deviation, 1)
-    return np.asarray(sum(np.roll(wide, (r, c), (0, 1)) for r in (-1, 0, 1) for c in (-1, 0, 1))[1:-1, 1:-1])
+    wide, (height, width) = np.pad(deviation, 1), deviation.shape
+    return np.asarray(np.sum([wide[r : r + height, c : c + width] for r in range(3) for c in range(3)], axis=0))
 
 
 def _clusters(image: Image, lit: Lit, spots: Spots, fitted: Fitted, response: Response) -> list[Cluster | None]:
@@ -142,9 +163,7 @@ def _clusters(image: Image, lit: Lit, spots: Spots, fitted: Fitted, response: Re
     return [_cluster(image, lit, spots, fitted, response, int(home)) for home in homes]
 
 
-def _cluster(
-    image: Image, lit: Lit, spots: Spots, fitted: Fitted, response: Response, home: int
-) -> Cluster | None:
+def _cluster(image: Image, lit: Lit, spots: Spots, fitted: Fitted, response: Response, home: int) -> Cluster | None:
     """One component's patch. Light of other components, and next to it, has no weight."""
     members = np.flatnonzero(spots.component == home)
     rows, columns = lit.rows[lit.component == home], lit.columns[lit.component == home]
@@ -175,7 +194,7 @@ def _most_flux(spots: Spots, members: IntArray, response: Response) -> FloatArra
     return np.log(_clipped_charge(spots, members, response) * 8)
 
 
-def _foreign(lit: Lit, home: int, top: int, left: int, shape: tuple[int, ...]) -> FloatArray:
+def _foreign(lit: Lit, home: int, top: int, left: int, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
     """Where (h, w) of a patch the light of other components lies, one pixel around it included."""
     mask = np.zeros((shape[0] + 2, shape[1] + 2), np.bool_)
     rows, columns = lit.rows - top + 1, lit.columns - left + 1

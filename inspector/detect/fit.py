@@ -1,4 +1,4 @@
-"""Where a spot's centre is, to a hundredth of a pixel: an elliptical Gaussian on a sloping background, by least squares.
+"""Where a spot's centre is, to a hundredth of a pixel: a Gaussian on a sloping background, by least squares.
 
 A seed's highlight is 0.04 to 0.2 px wide for a 1 mm seed, so what the sensor shows is the lens' blur, near enough a
 Gaussian (J. Anderson, I. King, PASP 112, 2000, say why a fitted profile beats a centroid on under-sampled spots).
@@ -24,7 +24,7 @@ X, Y, LOG_PEAK, SXX, SXY, SYY, BACKGROUND, SLOPE_X, SLOPE_Y = range(PARAMETERS)
 ROUNDS, SETTLED_PX = 40, 0.002
 """Gauss-Newton rounds at most, and the move under which a fit has settled; isolated spots take four or five."""
 HELD_SHARE, FREE_SHARE = 0.1, 1.0
-"""How far the blur's variance may be from the usual, as a share of it: of clipped or touching spots, of typical ones."""
+"""How far the blur's variance may be from the usual, as a share of it: clipped or touching spots, typical ones."""
 STEEP_SHARE = 0.1
 """A background slope of this share of the peak a pixel is already unlikely."""
 TANGLED_PX, DAMPING = 6, 0.1

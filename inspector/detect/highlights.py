@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -29,11 +29,8 @@ WINDOW_RADIUS_PX = (4, 12)
 """Radius of the fit's windows, least and most: the spot and two pixels of background around it."""
 SYSTEMATIC_PX = 0.006
 """What a perfect fit still misses: the profile is not quite a Gaussian (found on rendered spots)."""
-BLOOM_SIGMA_PX, MERGED_BLOOM_SIGMA_PX = 0.03, 0.1
-"""Standard deviation of a bloomed spot's charge centroid, and of a fit to the flanks of one that touches another
-(found on rendered spots)."""
-CHARGE_SHARE = 0.15
-"""Only pixels above this share of full scale count as charge: fainter light is halo, uneven on lit and dark ground."""
+BLOOM_SIGMA_PX = 0.03
+"""Standard deviation of a bloomed spot's charge centroid (found on rendered spots)."""
 FLUX_SIGMA, CLIPPED_FLUX_SIGMA, BLOOM_FLUX_SIGMA = 0.1, 0.25, 1.2
 """Standard deviation of log flux: fitted whole, fitted on its flanks, and summed where charge was lost."""
 HIDDEN_CHI2, HIDDEN_SIGMA, HIDDEN_GAIN = 12.0, 8.0, 0.4
@@ -54,18 +51,28 @@ class FrameRefused(ValueError):
         self.reason = reason
 
 
+@dataclass(frozen=True)
+class View:
+    """A frame before its spots are measured: packed image, lit pixels, ground, response, and what was asked for."""
+
+    image: Image
+    lit: Lit
+    ground: Background
+    response: Response
+    detection: Detection
+
+
 def find(image: Image, detection: Detection, sensor: Sensor) -> Highlights:
-    """Find all highlights of one frame, in row-major order of their first lit pixel.
+    """Find all highlights of one frame, in row-major order of their first lit pixel, clipped ones first.
 
     ``image`` (H, W) uint8 or uint16 of any stride. Raises FrameRefused for a frame that is black or lit all over.
     """
     image = kernel.packed(image)
     ground = lit_stage.background(image)
     sensor = _full_scale(image, sensor)
-    lit = _lit(image, detection, sensor, ground)
     response = Response(sensor, ground.level_dn, ground.noise_dn, ground.black_dn)
-    spots = find_spots(image, lit, response.clipped_dn)
-    return _measured(image, lit, spots, ground, detection, response)
+    view = View(image, _lit(image, detection, sensor, ground), ground, response, detection)
+    return _measured(view, find_spots(image, view.lit, response.clipped_dn))
 
 
 def _full_scale(image: Image, sensor: Sensor) -> Sensor:
@@ -82,19 +89,25 @@ def _lit(image: Image, detection: Detection, sensor: Sensor, ground: Background)
     if ground.level_dn > OVERLIT_SHARE * full:
         raise FrameRefused(
             Reason.FRAME_OVERLIT,
-            f"the frame is lit all over (median {ground.level_dn:.0f} of {full:.0f} DN): shield it or lower the exposure",
+            f"the frame is lit all over (median {ground.level_dn:.0f} of {full:.0f} DN): shield it, lower the exposure",
         )
     if detection.threshold_dn is not None:
         thresholds = np.array([[detection.threshold_dn]])
     else:
         tiles = ground.tiles_dn.max(keepdims=True) if ground.flat() else ground.tiles_dn
         thresholds = tiles + detection.threshold_sigma * ground.noise_dn
+    if thresholds.min() >= full:
+        raise FrameRefused(
+            Reason.FRAME_OVERLIT,
+            f"no highlight could stand out: background {ground.level_dn:.0f} DN, noise {ground.noise_dn:.0f} DN, full"
+            f" scale {full:.0f} DN: shield the panel, check the camera's link",
+        )
     lit = lit_stage.find(image, thresholds, detection.max_lit_fraction)
     if lit is None:
         raise FrameRefused(
             Reason.FRAME_OVERLIT,
             f"more than {100 * detection.max_lit_fraction:g} % of the frame is above the threshold"
-            f" ({thresholds.max():.0f} DN, background {ground.level_dn:.0f} DN): shield it, lower the exposure or raise the threshold",
+            f" ({thresholds.max():.0f} DN, background {ground.level_dn:.0f} DN): shield it or lower the exposure",
         )
     if lit.count == 0 and image.max(initial=0) <= BLACK_SHARE * full:
         raise FrameRefused(
@@ -109,75 +122,80 @@ def _lit(image: Image, detection: Detection, sensor: Sensor, ground: Background)
     return lit
 
 
-def _measured(
-    image: Image, lit: Lit, spots: Spots, ground: Background, detection: Detection, response: Response
-) -> Highlights:
+def _measured(view: View, spots: Spots) -> Highlights:
     """Centres, their covariance, flux, peak, area and flags of all spots."""
     if len(spots.centre_px) == 0:
-        return none(lit.threshold_dn, ground)
-    fitted, start, area, flags = _fitted(image, lit, spots, ground, detection, response)
-    more = _hidden(spots, fitted, flags)
-    if len(more):
-        crowd = spots.with_more(*more)
-        again = _fitted(image, lit, crowd, ground, detection, response)
-        proven = _proven(fitted, again[0], more[0])
-        if len(proven):
-            spots = spots.with_more(more[0][proven], more[1][proven])
-            fitted, start, area, flags = _fitted(image, lit, spots, ground, detection, response)
+        return none(view)
+    spots, measured = _with_hidden(view, spots, _measure(view, spots))
     solved: list[bloom.Solved] = []
     if any(spots.bloom):
-        spots, solved = bloom.refine(image, lit, spots, fitted, response)
-        if len(spots.centre_px) > len(fitted.chi2):
-            fitted, start, area, flags = _fitted(image, lit, spots, ground, detection, response)
-    covariance, xy, flux = _believed(fitted, spots)
-    flux_sigma = np.where(spots.saturated_px > 0, CLIPPED_FLUX_SIGMA, FLUX_SIGMA)
+        crowd, solved = bloom.refine(view.image, view.lit, spots, measured.fitted, view.response)
+        if crowd is not spots:
+            spots, measured = crowd, _measure(view, crowd)
+    found = _believed(measured.fitted, spots)
     if any(spots.bloom):
-        centroid, charge = _charge(lit, spots, start, response)
-        clipped = spots.saturated_px > 0
-        xy[clipped], covariance[clipped] = centroid[clipped], BLOOM_SIGMA_PX**2 * np.eye(2)
-        flux[clipped], flux_sigma[clipped] = charge[clipped], BLOOM_FLUX_SIGMA
-        for found in solved:
-            _place(found, xy, covariance, flux, flux_sigma)
+        _place_bloomed(view, spots, measured, solved, found)
     return Highlights(
-        xy_px=xy,
-        covariance_px2=covariance,
-        flux_dn=flux,
-        flux_sigma=flux_sigma,
-        peak_dn=fitted.peak_dn,
-        area_px=np.rint(area).astype(np.intp),
-        flags=flags,
-        binary_px=_binary_centroids(lit)[spots.component],
-        threshold_dn=lit.threshold_dn,
-        background_dn=ground.level_dn,
-        noise_dn=ground.noise_dn,
+        xy_px=found.xy_px,
+        covariance_px2=found.covariance_px2,
+        flux_dn=found.flux_dn,
+        flux_sigma=found.flux_sigma,
+        peak_dn=measured.fitted.peak_dn,
+        area_px=np.rint(measured.area_px).astype(np.intp),
+        flags=measured.flags,
+        binary_px=_binary_centroids(view.lit)[spots.component],
+        threshold_dn=view.lit.threshold_dn,
+        background_dn=view.ground.level_dn,
+        noise_dn=view.ground.noise_dn,
     )
 
 
-def _fitted(
-    image: Image, lit: Lit, spots: Spots, ground: Background, detection: Detection, response: Response
-) -> tuple[fitting.Fitted, FloatArray, FloatArray, IntArray]:
-    """Fit all spots; also the first guess, each spot's share (n,) of its component's area, and its flags (n,)."""
-    share = np.bincount(lit.component, minlength=lit.count) / np.maximum(
-        np.bincount(spots.component, minlength=lit.count), 1
-    )
-    area = share[spots.component]
+@dataclass(frozen=True)
+class Measured:
+    """The fit of n spots, the light (n,) of the ground, each one's share (n,) of its component's area, flags (n,)."""
+
+    fitted: fitting.Fitted
+    ground_light: FloatArray
+    area_px: FloatArray
+    flags: IntArray
+
+
+def _measure(view: View, spots: Spots) -> Measured:
+    """Fit all spots."""
+    lit = view.lit
+    crowd = np.bincount(spots.component, minlength=lit.count)
+    area = (np.bincount(lit.component, minlength=lit.count) / np.maximum(crowd, 1))[spots.component]
     centre = np.rint(spots.centre_px).astype(np.intp)
-    start = _start(image, spots, area, centre, lit.threshold_dn, ground, response)
-    radius = np.clip(np.ceil(np.sqrt(area / np.pi)) + 2, *WINDOW_RADIUS_PX)
-    flags = _flags(image, lit, spots, area, detection)
-    typical = (flags & (Flag.SATURATED | Flag.HOT_PIXEL | Flag.MERGED)) == 0
+    flags = _flags(view, spots, centre, crowd, area)
+    start = _start(view, spots, area, centre)
+    radius = np.minimum(np.maximum(np.ceil(np.sqrt(area / np.pi)) + 2, WINDOW_RADIUS_PX[0]), WINDOW_RADIUS_PX[1])
+    typical = (flags & (Flag.SATURATED | Flag.HOT_PIXEL | Flag.TOUCHING)) == 0
     if not typical.any():
         typical = (flags & (Flag.SATURATED | Flag.HOT_PIXEL)) == 0
-    return fitting.fit(image, response, spots.bloom, centre, radius, typical, start), start, area, flags
+    fitted = fitting.fit(view.image, view.response, spots.bloom, centre, radius, typical, start)
+    return Measured(fitted, start[:, fitting.BACKGROUND], area, flags)
 
 
-def _hidden(spots: Spots, fitted: fitting.Fitted, flags: IntArray) -> tuple[IntArray, FloatArray] | tuple[()]:
+def _with_hidden(view: View, spots: Spots, measured: Measured) -> tuple[Spots, Measured]:
+    """The spots with those that hid in poor fits, as far as each earns its place."""
+    hosts, places = _hidden(spots, measured.fitted, measured.flags)
+    if len(hosts) == 0:
+        return spots, measured
+    trial = _measure(view, spots.with_more(hosts, places))
+    proven = _proven(measured.fitted, trial.fitted, hosts)
+    if len(proven) == 0:
+        return spots, measured
+    spots = spots.with_more(hosts[proven], places[proven])
+    return spots, trial if len(proven) == len(hosts) else _measure(view, spots)
+
+
+def _hidden(spots: Spots, fitted: fitting.Fitted, flags: IntArray) -> tuple[IntArray, FloatArray]:
     """Where badly fitted spots may hide another: their indices (m,) and the place (m, 2) of the largest misfit."""
     bloomed = (spots.saturated_px > 0) & any(spots.bloom)
     poor = np.flatnonzero(
         (fitted.chi2 > HIDDEN_CHI2) & (fitted.misfit_sigma > HIDDEN_SIGMA) & ~bloomed & ((flags & Flag.HOT_PIXEL) == 0)
     )
-    return (poor, fitted.misfit_px[poor]) if len(poor) else ()
+    return poor, fitted.misfit_px[poor]
 
 
 def _proven(before: fitting.Fitted, after: fitting.Fitted, hosts: IntArray) -> IntArray:
@@ -190,20 +208,13 @@ def _proven(before: fitting.Fitted, after: fitting.Fitted, hosts: IntArray) -> I
     return np.flatnonzero(better & stayed & bright & (apart > LEAST_APART_PX))
 
 
-def _start(
-    image: Image,
-    spots: Spots,
-    area: FloatArray,
-    centre: IntArray,
-    threshold_dn: float,
-    ground: Background,
-    response: Response,
-) -> FloatArray:
+def _start(view: View, spots: Spots, area: FloatArray, centre: IntArray) -> FloatArray:
     """First guess (n, 9) for the fit. A Gaussian of peak P covers 2 pi s^2 ln(P/T) pixels above a threshold T."""
-    rows, columns = centre[:, 1], centre[:, 0]
-    grey = image[rows, columns].astype(np.float64)
-    level = ground.at(rows, columns, image.shape)
-    light, base, threshold = response.light(np.stack([grey, level, np.maximum(threshold_dn, level + 1)]))
+    response, rows, columns = view.response, centre[:, 1], centre[:, 0]
+    grey = view.image[rows, columns].astype(np.float64)
+    level = view.ground.at(rows, columns, view.image.shape)
+    threshold_dn = np.maximum(view.lit.threshold_dn, level + 1)
+    light, base, threshold = response.light(np.stack([grey, level, threshold_dn]))
     saturated = spots.saturated_px > 0
     peak = np.maximum(np.where(saturated, response.sensor.saturation_dn, light) - base, 1.0)
     ring = np.where(saturated, np.maximum(area - spots.saturated_px, 4), area)
@@ -217,79 +228,57 @@ def _start(
     return start
 
 
-def _flags(image: Image, lit: Lit, spots: Spots, area: FloatArray, detection: Detection) -> IntArray:
-    """Flags (n,) of each spot."""
-    flags = np.zeros(len(area), np.intp)
-    flags[spots.saturated_px > 0] |= Flag.SATURATED
-    flags[np.bincount(spots.component, minlength=lit.count)[spots.component] > 1] |= Flag.MERGED
-    flags[area < detection.min_area_px] |= Flag.TOO_SMALL
-    flags[area > detection.max_area_px] |= Flag.TOO_LARGE
-    height, width = image.shape
+def _flags(view: View, spots: Spots, centre: IntArray, crowd: IntArray, area: FloatArray) -> IntArray:
+    """Flags (n,) of each spot; ``crowd`` (components,) counts the spots of each component."""
+    lit, (height, width) = view.lit, view.image.shape
+    flags: IntArray = np.where(spots.saturated_px > 0, int(Flag.SATURATED), 0)
+    flags |= np.where(crowd[spots.component] > 1, int(Flag.TOUCHING), 0)
+    flags |= np.where(area < view.detection.min_area_px, int(Flag.TOO_SMALL), 0)
+    flags |= np.where(area > view.detection.max_area_px, int(Flag.TOO_LARGE), 0)
     border = (lit.rows == 0) | (lit.rows == height - 1) | (lit.columns == 0) | (lit.columns == width - 1)
-    flags[np.isin(spots.component, lit.component[border])] |= Flag.AT_EDGE
-    flags[_hot(image, spots)] |= Flag.HOT_PIXEL
+    if border.any():
+        flags |= np.where(np.isin(spots.component, lit.component[border]), int(Flag.AT_EDGE), 0)
+    flags |= np.where(kernel.hot(view.image, centre, HOT_SHARE), int(Flag.HOT_PIXEL), 0)
     return flags
 
 
-def _hot(image: Image, spots: Spots) -> Bools:
-    """Which spots are a single pixel that no lens can have made, (n,)."""
-    x, y = np.rint(spots.centre_px).astype(np.intp).T
-    height, width = image.shape
-    inside = (x >= 1) & (x < width - 1) & (y >= 1) & (y < height - 1)
-    x, y = np.clip(x, 1, max(width - 2, 1)), np.clip(y, 1, max(height - 2, 1))
-    if width < 3 or height < 3:
-        return np.zeros(len(x), np.bool_)
-    cross = np.stack([image[y, x - 1], image[y, x + 1], image[y - 1, x], image[y + 1, x]]).astype(np.float64)
-    ring = np.stack([image[y - 1, x - 1], image[y - 1, x + 1], image[y + 1, x - 1], image[y + 1, x + 1]])
-    ground = np.minimum(np.median(ring, axis=0), cross.min(axis=0))
-    return inside & ((cross - ground).sum(axis=0) < HOT_SHARE * (image[y, x] - ground))
+@dataclass(frozen=True)
+class Believed:
+    """Centres (n, 2), covariance (n, 2, 2), flux (n,) and the deviation (n,) of its logarithm; filled in place."""
+
+    xy_px: FloatArray
+    covariance_px2: FloatArray
+    flux_dn: FloatArray
+    flux_sigma: FloatArray
 
 
-def _believed(fitted: fitting.Fitted, spots: Spots) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Covariance (n, 2, 2), centres (n, 2), flux (n,): where a fit ran away, the plain centre, known badly."""
+def _believed(fitted: fitting.Fitted, spots: Spots) -> Believed:
+    """What the fit is taken to say: where it ran away, the plain centre, known badly."""
     covariance = fitted.covariance_px2 * np.maximum(fitted.chi2, 1.0)[:, None, None]
-    covariance = covariance + SYSTEMATIC_PX**2 * np.eye(2)
+    covariance += SYSTEMATIC_PX**2 * np.eye(2)
     away = np.abs(fitted.xy_px - spots.centre_px).max(axis=1)
-    flux = fitted.flux_dn.copy()
+    flux, xy = fitted.flux_dn.copy(), fitted.xy_px.copy()
     lost = ~((away < LOST_PX) & np.isfinite(covariance).all(axis=(1, 2)) & (flux > 0) & np.isfinite(flux))
-    covariance[lost] = LOST_SIGMA_PX**2 * np.eye(2)
-    flux[lost] = np.maximum(fitted.peak_dn[lost], 1.0)
-    return covariance, np.where(lost[:, None], spots.centre_px, fitted.xy_px), flux
+    covariance[lost], xy[lost] = LOST_SIGMA_PX**2 * np.eye(2), spots.centre_px[lost]
+    flux[lost] = np.where(np.isfinite(fitted.peak_dn[lost]), np.maximum(fitted.peak_dn[lost], 1.0), 1.0)
+    return Believed(xy, covariance, flux, np.where(spots.saturated_px > 0, CLIPPED_FLUX_SIGMA, FLUX_SIGMA))
 
 
-def _charge(lit: Lit, spots: Spots, start: FloatArray, response: Response) -> tuple[FloatArray, FloatArray]:
-    """Centroids (n, 2) of the lit pixels nearest to each spot, weighted by light over the background, and its sum.
+def _place_bloomed(view: View, spots: Spots, measured: Measured, solved: list[bloom.Solved], found: Believed) -> None:
+    """Clipped spots of a blooming frame: lone ones by their charge, those that touch by the fit of their cluster.
 
-    Where charge blooms the flanks are spoilt, but it runs both ways alike and clipping is even on both sides: what is
-    left of the spot's charge keeps its centre.
+    A lone spot's charge is moved less by uneven ground under it than a fit is.
     """
-    n = len(spots.centre_px)
-    at = np.column_stack([lit.columns, lit.rows]).astype(np.float64)
-    distance = np.abs(at[:, None] - spots.centre_px).sum(axis=2)
-    distance[lit.component[:, None] != spots.component] = np.inf
-    owner = distance.argmin(axis=1)
-    ground = start[owner, fitting.BACKGROUND]
-    weight = response.light(lit.grey_dn) - ground
-    weight[weight < CHARGE_SHARE * (response.sensor.saturation_dn - ground)] = 0.0
-    total = np.bincount(owner, weight, n)
-    moments = np.column_stack([np.bincount(owner, weight * at[:, k], n) for k in (0, 1)])
-    total = np.maximum(total, 1.0)
-    return np.where(total[:, None] > 1, moments / total[:, None], spots.centre_px), total
-
-
-def _place(
-    found: bloom.Solved, xy: FloatArray, covariance: FloatArray, flux: FloatArray, flux_sigma: FloatArray
-) -> None:
-    """Write a solved cluster's centres, covariance and flux over what the plain fit said of its members.
-
-    A lone spot keeps its charge's centroid, which uneven ground under it moves less than the fit.
-    """
-    members = found.cluster.members
-    if len(members) == 1:
-        return
-    xy[members], flux[members] = found.places, found.fluxes
-    covariance[members] = found.place_covariance + BLOOM_SIGMA_PX**2 * np.eye(2)
-    flux_sigma[members] = CLIPPED_FLUX_SIGMA
+    centroid, charge = bloom.charge(view.lit, spots, measured.ground_light, view.response)
+    clipped = spots.saturated_px > 0
+    found.xy_px[clipped], found.covariance_px2[clipped] = centroid[clipped], BLOOM_SIGMA_PX**2 * np.eye(2)
+    found.flux_dn[clipped], found.flux_sigma[clipped] = charge[clipped], BLOOM_FLUX_SIGMA
+    for cluster in solved:
+        members = cluster.cluster.members
+        if len(members) > 1:
+            found.xy_px[members], found.flux_dn[members] = cluster.places, cluster.fluxes
+            found.covariance_px2[members] = cluster.place_covariance + BLOOM_SIGMA_PX**2 * np.eye(2)
+            found.flux_sigma[members] = CLIPPED_FLUX_SIGMA
 
 
 def _binary_centroids(lit: Lit) -> FloatArray:
@@ -298,19 +287,19 @@ def _binary_centroids(lit: Lit) -> FloatArray:
     return np.column_stack([np.bincount(lit.component, v, lit.count) / size for v in (lit.columns, lit.rows)])
 
 
-def none(threshold_dn: float, ground: Background) -> Highlights:
+def none(view: View) -> Highlights:
     """A frame without highlights."""
-    empty = np.empty(0)
+    empty, whole = np.empty(0), np.empty(0, np.intp)
     return Highlights(
-        np.empty((0, 2)),
-        np.empty((0, 2, 2)),
-        empty,
-        empty,
-        empty,
-        empty.astype(np.intp),
-        empty.astype(np.intp),
-        np.empty((0, 2)),
-        threshold_dn,
-        ground.level_dn,
-        ground.noise_dn,
+        xy_px=np.empty((0, 2)),
+        covariance_px2=np.empty((0, 2, 2)),
+        flux_dn=empty,
+        flux_sigma=empty,
+        peak_dn=empty,
+        area_px=whole,
+        flags=whole,
+        binary_px=np.empty((0, 2)),
+        threshold_dn=view.lit.threshold_dn,
+        background_dn=view.ground.level_dn,
+        noise_dn=view.ground.noise_dn,
     )

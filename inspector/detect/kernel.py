@@ -20,7 +20,7 @@ def _library() -> ctypes.CDLL:
     library = ctypes.CDLL(spec.origin)
     for name in ("kernel_components", "kernel_lit", "kernel_fit", "bloom_fit"):
         getattr(library, name).restype = c_int64
-    library.kernel_peaks.restype = None
+    library.kernel_peaks.restype = library.kernel_hot.restype = None
     return library
 
 
@@ -49,7 +49,7 @@ def packed(image: Image) -> Image:
     """The image with each row's pixels side by side and in native byte order; a copy only where it is needed."""
     if image.strides[1] == image.itemsize and image.dtype.isnative and image.strides[0] >= 0:
         return image
-    return image.astype(image.dtype.newbyteorder("="), order="C")
+    return image.astype(np.uint8, order="C") if image.itemsize == 1 else image.astype(np.uint16, order="C")
 
 
 def _image(image: Image) -> _Image:
@@ -99,6 +99,17 @@ def peaks(
         c_double(saturated_dn), _pointer(best),
     )  # fmt: skip
     return best
+
+
+def hot(image: Image, centre: IntArray, share: float) -> npt.NDArray[np.bool_]:
+    """Which spots at integer centres (n, 2) x, y are one pixel that no lens can have made: hot pixels, never light.
+
+    The four pixels beside it hold together less than ``share`` of its light.
+    """
+    is_hot = np.empty(len(centre), np.bool_)
+    centre = np.ascontiguousarray(centre, np.int64)
+    _LIBRARY.kernel_hot(byref(_image(image)), c_int64(len(centre)), _pointer(centre), c_double(share), _pointer(is_hot))
+    return is_hot
 
 
 @dataclass(frozen=True)
