@@ -337,10 +337,16 @@ def _centroid(
 
 
 def _white(grey: FloatArray, filled: Chosen, inside: Chosen) -> FloatArray:
-    """The square's own brightness everywhere (h, w): a plane through its inside, or its peak where there is none."""
+    """The square's own brightness everywhere (h, w): a plane through its inside, or its peak where there is none.
+
+    Pixels far from the inside's median, dirt and glare, have no say.
+    """
     if np.count_nonzero(inside) < MIN_AREA_PX:
         return np.full(grey.shape, np.percentile(grey[filled], 90))
+    usual = np.median(grey[inside])
+    away = np.abs(grey - usual)
+    clean = inside & (away <= 4 * np.median(away[inside]) + 0.01 * usual)
     y, x = np.indices(grey.shape)
     terms = np.stack([np.ones_like(grey), x, y], axis=-1)
-    plane = np.linalg.lstsq(terms[inside], grey[inside], rcond=None)[0]
+    plane = np.linalg.lstsq(terms[clean], grey[clean], rcond=None)[0]
     return np.asarray(terms @ plane)
