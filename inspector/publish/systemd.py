@@ -8,6 +8,9 @@ import socket
 import time
 from collections.abc import Mapping
 
+SEND_TIMEOUT_S = 0.5
+"""A manager that is behind with its messages may hold up the cycle for so long."""
+
 
 class Notifier:
     """Speaks to systemd when it started us with Type=notify; says nothing otherwise. Never raises."""
@@ -25,7 +28,7 @@ class Notifier:
         if not self._address:
             return
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sock:
-            sock.setblocking(False)
+            sock.settimeout(SEND_TIMEOUT_S)
             with contextlib.suppress(OSError):
                 sock.sendto("\n".join(lines).encode(), self._address)
 
