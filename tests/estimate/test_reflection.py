@@ -30,8 +30,9 @@ def test_exact_pixels_give_the_seed_back(view: View, spacing_px: float, seed: in
     calibration = view.calibration
     seeds = seeds_at(spread_px(8, np.random.default_rng(seed)), spacing_px, calibration)
     found = solved(*reflection.highlights(seeds, calibration), calibration)
-    assert found.radius_mm == pytest.approx(seeds[:, 2], rel=1e-10)
-    assert np.column_stack([found.x_mm, found.y_mm]) == pytest.approx(seeds[:, :2], abs=1e-9)
+    rounds = 1e-10 if view.lamp_mm is None else 1e-9  # a near lamp is solved in rounds
+    assert found.radius_mm == pytest.approx(seeds[:, 2], rel=rounds)
+    assert np.column_stack([found.x_mm, found.y_mm]) == pytest.approx(seeds[:, :2], abs=100 * rounds)
     assert np.all(found.chi2 < 1e-12)
 
 
