@@ -45,7 +45,7 @@ class DeadlineClient(ModbusBaseSyncClient):
         """Start a request: what came unasked is thrown away, since it answers nothing."""
         self._until_s = time.monotonic() + self._deadline_s
         self.received = 0
-        self._port.discard_input()
+        self._port.settle()
         self._port.write(request, self._deadline_s)
         return len(request)
 

@@ -20,6 +20,12 @@ from firmware_bridge.errors import DeviceGone, NoReply
 
 READ_BYTES = 4096
 
+SETTLE_READS = 16
+"""A line that after so many looks still has something to say is never quiet."""
+
+QUIET_CHARACTERS, CHARACTER_BITS, QUIET_LEAST_S = 3.5, 11, 0.00175
+"""The pause between RTU frames (MODBUS over Serial Line V1.02, 2.5.1.1); a module may miss a request before its end."""
+
 
 class _Opened(Protocol):
     """What is behind a port: a serial.Serial or a socket."""
@@ -35,12 +41,22 @@ def _nothing() -> None:
 class Port:
     """An open byte stream. ``name`` is the port's or the peer's; it goes into every error.
 
-    ``after_close`` is called once, when it is closed: whoever made the other end takes it away then.
+    ``quiet_s`` is the pause by which the line tells messages apart, seconds. ``after_close`` is called once, when
+    it is closed: whoever made the other end takes it away then.
     """
 
-    def __init__(self, device: str, name: str, opened: _Opened, after_close: Callable[[], None] = _nothing) -> None:
+    def __init__(
+        self,
+        device: str,
+        name: str,
+        opened: _Opened,
+        *,
+        quiet_s: float = 0.0,
+        after_close: Callable[[], None] = _nothing,
+    ) -> None:
         self._device, self.name, self._opened = device, name, opened
-        self._after_close = after_close
+        self._quiet_s, self._after_close = quiet_s, after_close
+        self._heard_s = time.monotonic()
         self._fd = opened.fileno()
         os.set_blocking(self._fd, False)
         self._readable, self._writable = select.poll(), select.poll()
@@ -61,6 +77,7 @@ class Port:
             raise self._gone(reason(error)) from error
         if not data:
             raise self._gone("closed by the other side")
+        self._heard_s = time.monotonic()
         return data
 
     def write(self, data: bytes, timeout_s: float) -> None:
@@ -79,15 +96,14 @@ class Port:
             except OSError as error:
                 raise self._gone(reason(error)) from error
 
-    def discard_input(self) -> int:
-        """Throw away what has come so far, at most a few pages of it; how many bytes that was. Raises DeviceGone."""
-        discarded = 0
-        for _ in range(16):
-            data = self.read(0.0)
-            discarded += len(data)
-            if not data:
+    def settle(self) -> None:
+        """Throw away what has come, and wait until the line was quiet for ``quiet_s``. Raises DeviceGone.
+
+        On a line that is never quiet this ends too: what comes then is no answer, and is found to be none.
+        """
+        for _ in range(SETTLE_READS):
+            if not self.read(self._heard_s + self._quiet_s - time.monotonic()):
                 break
-        return discarded
 
     def close(self) -> None:
         """Close; may be called twice, never raises. What nobody took is dropped: the kernel would wait for it."""
@@ -127,7 +143,8 @@ def open_serial(
         opened = serial.Serial(port, baud, parity=parity, stopbits=stop_bits, timeout=0, exclusive=True)
     except (OSError, ValueError, termios.error) as error:  # pyserial's own SerialException is an OSError
         raise DeviceGone(device, f"cannot open {port}: {reason(error)}", _serial_remedy(error)) from error
-    return Port(device, port, opened, after_close)
+    quiet_s = max(QUIET_CHARACTERS * CHARACTER_BITS / baud, QUIET_LEAST_S)
+    return Port(device, port, opened, quiet_s=quiet_s, after_close=after_close)
 
 
 def open_tcp(device: str, host: str, port: int, timeout_s: float, after_close: Callable[[], None] = _nothing) -> Port:
@@ -136,17 +153,16 @@ def open_tcp(device: str, host: str, port: int, timeout_s: float, after_close: C
     try:
         opened = socket.create_connection((host, port), timeout=timeout_s)
     except OSError as error:
-        raise DeviceGone(
-            device, f"cannot connect to {name}: {reason(error)}", "check address, cable and power"
-        ) from error
+        what = f"cannot connect to {name}: {reason(error)}"
+        raise DeviceGone(device, what, "check address, cable and power") from error
     opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return Port(device, name, opened, after_close)
+    return Port(device, name, opened, after_close=after_close)
 
 
 def reason(error: BaseException) -> str:
     """The system's own words for an error, without the path and number that pyserial repeats."""
     number = getattr(error, "errno", None)
-    return os.strerror(number) if isinstance(number, int) else str(error)
+    return os.strerror(number) if isinstance(number, int) and number > 0 else str(error)
 
 
 def _serial_remedy(error: BaseException) -> str:

@@ -25,7 +25,7 @@ def open_simulated(device: str, profile: Profile, unit: int) -> Port:
     try:
         address = _address(device, process)
         if profile.has_serial:
-            return open_serial(device, address, after_close=lambda: _end(process))
+            return open_serial(device, address, baud=115200, after_close=lambda: _end(process))
         host, _, port = address.rpartition(":")
         return open_tcp(device, host, int(port), START_S, after_close=lambda: _end(process))
     except BaseException:

@@ -135,6 +135,20 @@ def test_the_other_side_hanging_up_is_told_from_silence(scripted: Any) -> None:
         master.read(HOLDING, 0)
 
 
+def test_a_serial_line_is_given_its_pause_between_frames() -> None:
+    near, far = socket.socketpair()
+    port = Port("module", "pair", near, quiet_s=0.1)
+    far.sendall(b"unasked")
+    port.settle()
+    settled_s = time.monotonic()
+    far.sendall(b"answer")
+    assert port.read(5.0) == b"answer"
+    port.settle()
+    assert time.monotonic() - settled_s >= 0.1
+    port.close()
+    far.close()
+
+
 @settings(deadline=None, max_examples=300)
 @given(st.binary(max_size=300), st.booleans(), st.sampled_from(list(Table)))
 def test_random_answers_end_in_an_answer_or_an_error(answer: bytes, rtu: bool, table: Table) -> None:
