@@ -48,6 +48,21 @@ class Camera:
         """The centre of projection in the world, (3,) mm: C = -R^T T, by solving, since a file's R is rounded."""
         return np.asarray(-np.linalg.solve(self.rotation, self.translation_mm))
 
+    @cached_property
+    def _origin_px(self) -> FloatArray:
+        return np.array([self.cx_px, self.cy_px])
+
+    @cached_property
+    def _pitch_mm(self) -> FloatArray:
+        """The sensor's pixel pitch, x (as digitised) and y."""
+        return np.array([self.dx_mm / self.sx, self.dy_mm])
+
+    @cached_property
+    def _to_world(self) -> tuple[FloatArray, FloatArray]:
+        """What carries sensor coordinates (n, 2) mm to directions in the world: factor (2, 3) and sum (3,)."""
+        inverse = np.linalg.inv(self.rotation)
+        return np.ascontiguousarray(inverse[:, :2].T), self.f_mm * inverse[:, 2]
+
     def project(self, points_mm: FloatArray) -> FloatArray:
         """Pixels (n, 2) of world points (n, 3) mm. NaN behind the camera or beyond the distortion's reach."""
         c = points_mm @ self.rotation.T + self.translation_mm
@@ -57,15 +72,15 @@ class Camera:
 
     def pixels(self, sensor_mm: FloatArray) -> FloatArray:
         """Pixels (n, 2) of distorted sensor coordinates (n, 2) mm (B.16, B.17)."""
-        return sensor_mm * [self.sx / self.dx_mm, 1 / self.dy_mm] + [self.cx_px, self.cy_px]
+        return sensor_mm / self._pitch_mm + self._origin_px
 
     def sensor(self, xy_px: FloatArray) -> FloatArray:
         """Distorted sensor coordinates (n, 2) mm of pixels (n, 2)."""
-        return (xy_px - [self.cx_px, self.cy_px]) * [self.dx_mm / self.sx, self.dy_mm]
+        return (xy_px - self._origin_px) * self._pitch_mm
 
     def undistort(self, distorted_mm: FloatArray) -> FloatArray:
         """Undistorted sensor coordinates: Xu = Xd (1 + kappa1 r_d^2)."""
-        r2 = np.sum(distorted_mm**2, axis=1, keepdims=True)
+        r2 = (distorted_mm * distorted_mm).sum(axis=1, keepdims=True)
         return np.asarray(distorted_mm * (1 + self.kappa1_per_mm2 * r2))
 
     def distort(self, undistorted_mm: FloatArray) -> FloatArray:
@@ -87,9 +102,8 @@ class Camera:
 
     def rays(self, xy_px: FloatArray) -> FloatArray:
         """Directions (n, 3) in the world, not normalised, from the centre through pixels (n, 2)."""
-        u = self.undistort(self.sensor(xy_px))
-        in_camera = np.column_stack([u, np.full(len(u), self.f_mm)])
-        return np.linalg.solve(self.rotation, in_camera.T).T
+        factor, offset = self._to_world
+        return np.asarray(self.undistort(self.sensor(xy_px)) @ factor + offset)
 
     def back_project(self, xy_px: FloatArray, z_mm: float = 0.0) -> FloatArray:
         """Panel coordinates (n, 2) mm of pixels (n, 2), on the plane z = ``z_mm``; NaN if the ray never meets it."""

@@ -4,25 +4,23 @@ from __future__ import annotations
 
 from collections import defaultdict
 
-import numpy as np
-
-from inspector.model import FloatArray, IntArray
-
+Edge = tuple[int, int, float, int]
+"""Two members, what taking them costs, and the couple's index."""
 MOST_STATES = 20_000
 """States remembered for one cluster; a larger tangle is matched greedily, cheapest first."""
 
 
-def best_matching(a: IntArray, b: IntArray, cost: FloatArray) -> IntArray:
-    """Indices of the couples (a[k], b[k]) whose costs sum to the least; a couple of cost >= 0 is never worth it."""
-    worthy = np.flatnonzero(cost < 0)
-    chosen: list[int] = []
-    for cluster in _clusters(a[worthy], b[worthy]):
-        chosen += _matched([(int(a[k]), int(b[k]), float(cost[k]), int(k)) for k in worthy[cluster]])
-    return np.array(sorted(chosen), np.intp)
+def best_matching(a: list[int], b: list[int], cost: list[float], worth: float) -> list[int]:
+    """Indices, ascending, of the couples (a[k], b[k]) whose costs, less ``worth`` each, sum to the least.
+
+    No member serves twice; a couple that costs ``worth`` or more is never taken.
+    """
+    edges = [(x, y, c - worth, k) for k, (x, y, c) in enumerate(zip(a, b, cost, strict=True)) if c < worth]
+    return sorted(k for cluster in _clusters(edges) for k in _matched(cluster))
 
 
-def _clusters(a: IntArray, b: IntArray) -> list[list[int]]:
-    """Groups of couple indices that share members, directly or through others."""
+def _clusters(edges: list[Edge]) -> list[list[Edge]]:
+    """Groups of edges that share members, directly or through others."""
     parent: dict[int, int] = {}
 
     def root(x: int) -> int:
@@ -30,15 +28,15 @@ def _clusters(a: IntArray, b: IntArray) -> list[list[int]]:
             parent[x] = x = parent[parent[x]]
         return x
 
-    for x, y in zip(a.tolist(), b.tolist(), strict=True):
+    for x, y, _, _ in edges:
         parent[root(x)] = root(y)
-    groups: dict[int, list[int]] = defaultdict(list)
-    for k, x in enumerate(a.tolist()):
-        groups[root(x)].append(k)
+    groups: dict[int, list[Edge]] = defaultdict(list)
+    for edge in edges:
+        groups[root(edge[0])].append(edge)
     return list(groups.values())
 
 
-def _matched(edges: list[tuple[int, int, float, int]]) -> list[int]:
+def _matched(edges: list[Edge]) -> list[int]:
     """The best matching of one cluster's edges (a, b, cost, index)."""
     if len(edges) == 1:
         return [edges[0][3]]
@@ -69,7 +67,7 @@ def _exact(options: dict[int, list[tuple[int, float, int]]], count: int) -> list
     return list(min(states.values())[1])
 
 
-def _greedy(edges: list[tuple[int, int, float, int]]) -> list[int]:
+def _greedy(edges: list[Edge]) -> list[int]:
     """Cheapest couple first."""
     taken: set[int] = set()
     picked = []

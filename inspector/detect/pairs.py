@@ -3,18 +3,22 @@
 Camera and lamp alone fix the direction from direct to mirror spot at every pixel. Each ordered couple of spots that
 lies along it is a candidate; the exact model says how well it fits (one spare equation), Fresnel's equations and the
 other seeds say how bright its spots should be. The best set of couples in which no spot serves twice is taken;
-what fits nothing stays unpaired. A lone spot never becomes a height.
+what fits nothing stays unpaired. A lone spot never becomes a height. Candidates are sieved and scored in `_pairs.c`.
 """
 
 from __future__ import annotations
 
+import struct
+from collections import defaultdict
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from inspector import reflection
+from inspector import native, reflection
 from inspector.detect.matching import best_matching
 from inspector.model import Flag, FloatArray, HighlightPairs, Highlights, IntArray
+from inspector.native import out
 from inspector.optics import Calibration
 
 LARGEST_RADIUS_MM = 12.0
@@ -39,130 +43,140 @@ PAINT_INDEX = 1.5
 """Refractive index of clear coats: 1.47 to 1.55."""
 
 
+UNABLE = int(Flag.HOT_PIXEL | Flag.TOO_SMALL | Flag.TOO_LARGE)
+"""Spots with one of these flags make no pair."""
+NO_DUST = int(Flag.HOT_PIXEL | Flag.AT_EDGE)
+"""What fits nothing and has one of these flags is not called dust."""
+COUPLES_A_SPOT = 16
+"""Room for candidates, for each spot; more are counted and asked for again."""
+
+_RULES = struct.pack("7d", LARGEST_RADIUS_MM, BEND_SHARE, BEND_PX, MODEL_SHARE, WORTH, RATIO_SIGMA, PAINT_INDEX)
+_candidates = native.function("inspector.detect._pairs", "pairs_candidates", "ppippppppippp")
+
+
 @dataclass(frozen=True)
 class Candidates:
-    """Ordered couples of spots: indices ``direct`` and ``mirror`` (m,), and ``cost`` (m,); lower is likelier."""
+    """Ordered couples of spots that fit the model: m of each; lower ``cost`` is likelier.
 
-    direct: IntArray
-    mirror: IntArray
-    cost: FloatArray
-    radius_mm: FloatArray
-    size: FloatArray
+    Lists, since what is asked of them goes couple by couple.
+    """
+
+    direct: list[int]
+    mirror: list[int]
+    cost: list[float]
+    radius_mm: list[float]
+    size: list[float]
     """log(direct flux / radius^2): alike for all seeds of a frame."""
 
-    def take(self, index: IntArray) -> Candidates:
-        """Some of the candidates."""
-        return Candidates(self.direct[index], self.mirror[index], self.cost[index], self.radius_mm[index], self.size[index])
+    @cached_property
+    def of_direct(self) -> dict[int, list[int]]:
+        """The candidates of each direct spot."""
+        return _grouped(self.direct)
+
+    @cached_property
+    def of_mirror(self) -> dict[int, list[int]]:
+        """The candidates of each mirror spot."""
+        return _grouped(self.mirror)
+
+
+def _grouped(keys: list[int]) -> dict[int, list[int]]:
+    groups: dict[int, list[int]] = defaultdict(list)
+    for k, key in enumerate(keys):
+        groups[key].append(k)
+    return groups
 
 
 def pair(spots: Highlights, calibration: Calibration) -> HighlightPairs:
     """Pair the spots of one frame. Every spot is in ``direct``, ``mirror`` or ``unpaired``, and only once."""
-    able = np.flatnonzero((spots.flags & (Flag.HOT_PIXEL | Flag.TOO_SMALL | Flag.TOO_LARGE)) == 0)
-    found = _candidates(spots, able, calibration)
-    chosen = best_matching(found.direct, found.mirror, found.cost - WORTH)
+    found = candidates(spots, calibration)
+    chosen = best_matching(found.direct, found.mirror, found.cost, WORTH)
     if len(chosen) >= 3:
-        unlike = (found.size - np.median(found.size[chosen])) ** 2 / (SIZE_SIGMA**2 + spots.flux_sigma[found.direct] ** 2)
-        found = replace(found, cost=found.cost + np.minimum(unlike / 2, SIZE_COST))
-        chosen = best_matching(found.direct, found.mirror, found.cost - WORTH)
+        found = _alike(found, chosen, spots.flux_sigma)
+        chosen = best_matching(found.direct, found.mirror, found.cost, WORTH)
     chosen = _outermost(found, chosen)
-    direct, mirror = found.direct[chosen], found.mirror[chosen]
+    direct = np.array([found.direct[k] for k in chosen], np.intp)
+    mirror = np.array([found.mirror[k] for k in chosen], np.intp)
+    left = np.ones(len(spots), np.bool_)
+    left[direct] = left[mirror] = False
+    unpaired = left.nonzero()[0]
     flags = spots.flags[direct] | spots.flags[mirror]
-    unpaired = np.setdiff1d(np.arange(len(spots)), np.concatenate([direct, mirror]))
-    return HighlightPairs(direct, mirror, unpaired, flags, _unpaired_flags(spots, unpaired, found, chosen))
-
-
-def _candidates(spots: Highlights, able: IntArray, calibration: Calibration) -> Candidates:
-    """All couples that lie along the direction from direct to mirror spot and fit the model at all."""
-    xy = spots.xy_px[able]
-    rays = reflection.rays(calibration.camera, xy)
-    toward = reflection.directions(rays, calibration)
-    scale = np.hypot(toward[:, 0], toward[:, 1])
-    toward = toward / scale[:, None]
-    d = xy[None] - xy[:, None]
-    along = d[..., 0] * toward[:, :1] + d[..., 1] * toward[:, 1:]
-    beside = np.abs(d[..., 1] * toward[:, :1] - d[..., 0] * toward[:, 1:])
-    near = (along > 0.5) & (along < LARGEST_RADIUS_MM * scale[:, None]) & (beside < BEND_PX + BEND_SHARE * along)
-    i, j = np.nonzero(near)
-    model = (MODEL_SHARE * along[i, j]) ** 2
-    return _scored(spots, able[i], able[j], rays.take(i), rays.take(j), model, calibration)
-
-
-def _scored(
-    spots: Highlights,
-    a: IntArray,
-    b: IntArray,
-    direct: reflection.Rays,
-    mirror: reflection.Rays,
-    model_px2: FloatArray,
-    calibration: Calibration,
-) -> Candidates:
-    """Solve all couples (m,) at once and score them; what cannot pay for itself is dropped."""
-    model = model_px2[:, None, None] * np.eye(2)
-    covariance = spots.covariance_px2
-    seeds = reflection.solve(direct, mirror, covariance[a] + model, covariance[b] + model, calibration)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        size = np.log(spots.flux_dn[a] / seeds.radius_mm**2)
-        ratio = np.log(spots.flux_dn[a] / spots.flux_dn[b] / expected_ratio(direct.along, mirror.along, seeds))
-    spread2 = RATIO_SIGMA**2 + spots.flux_sigma[a] ** 2 + spots.flux_sigma[b] ** 2
-    cost = seeds.chi2 / 2 + ratio**2 / (2 * spread2)
-    good = np.flatnonzero((seeds.radius_mm > 0) & (seeds.radius_mm < LARGEST_RADIUS_MM) & (cost < WORTH))
-    return Candidates(a, b, cost, seeds.radius_mm, size).take(good)
-
-
-def expected_ratio(direct_along: FloatArray, mirror_along: FloatArray, seeds: reflection.Seeds) -> FloatArray:
-    """Flux of the direct spot over that of the mirror spot, (n,): one reflection against two (Fresnel, unpolarised).
-
-    A small convex mirror sends the same flux whatever the angle, so only the reflectances differ.
-    """
-    cosines = np.stack(
-        [
-            (direct_along * seeds.direct_normal).sum(axis=1),
-            (mirror_along * reflection.MIRROR * seeds.mirror_normal).sum(axis=1),
-            mirror_along[:, 2],
-        ]
+    return HighlightPairs(
+        direct, mirror, unpaired, flags, _unpaired_flags(spots.flags[unpaired], unpaired, found, chosen)
     )
-    direct, sphere, paint = fresnel(np.abs(cosines))
-    return np.asarray(direct / (sphere * paint))
 
 
-def fresnel(cosine: FloatArray) -> FloatArray:
-    """Reflectance of the clear coat for unpolarised light at angles of incidence of these cosines, same shape."""
-    inside = np.sqrt(1 - (1 - cosine**2) / PAINT_INDEX**2)
-    s = (cosine - PAINT_INDEX * inside) / (cosine + PAINT_INDEX * inside)
-    p = (inside - PAINT_INDEX * cosine) / (inside + PAINT_INDEX * cosine)
-    return np.asarray((s * s + p * p) / 2)
+def candidates(spots: Highlights, calibration: Calibration) -> Candidates:
+    """All couples that lie along the direction from direct to mirror spot and fit the model at all."""
+    able = (spots.flags & UNABLE == 0).nonzero()[0]
+    given = (
+        spots.xy_px,
+        spots.covariance_px2,
+        spots.flux_dn,
+        spots.flux_sigma,
+        reflection.rays(calibration.camera, spots.xy_px),
+    )
+    arguments = (reflection.scene(calibration), _RULES, len(able), able.tobytes(), *(a.tobytes() for a in given))
+    room, count = 0, COUPLES_A_SPOT * len(able) + 1
+    while count > room:
+        room = count
+        couples, scores = np.empty((2, room), np.intp), np.empty((room, 3))
+        count = _candidates(*arguments, room, out(couples[0]), out(couples[1]), out(scores))
+    direct, mirror = couples[:, :count].tolist()
+    cost, radius_mm, size = scores[:count].T.tolist()
+    return Candidates(direct, mirror, cost, radius_mm, size)
 
 
-def _outermost(found: Candidates, chosen: IntArray) -> IntArray:
+def _alike(found: Candidates, chosen: list[int], flux_sigma: FloatArray) -> Candidates:
+    """The candidates, dearer where the seed would be unlike those ``chosen``: too bright or dark for its radius."""
+    sizes = sorted(found.size[k] for k in chosen)
+    usual = (sizes[(len(sizes) - 1) // 2] + sizes[len(sizes) // 2]) / 2
+    variance = (SIZE_SIGMA**2 + flux_sigma**2).tolist()
+    cost = [
+        c + min((size - usual) ** 2 / variance[d] / 2, SIZE_COST)
+        for c, size, d in zip(found.cost, found.size, found.direct, strict=True)
+    ]
+    return replace(found, cost=cost)
+
+
+def _outermost(found: Candidates, chosen: list[int]) -> list[int]:
     """Where a couple could as well reach further to a spot that is left over, it does: the spot between is paint.
 
     The pool at a seed's foot throws a third spot between the two, on the mirror's side; nothing throws one beyond.
     """
-    taken = set(np.concatenate([found.direct[chosen], found.mirror[chosen]]).tolist())
+    taken = {spot for k in chosen for spot in (found.direct[k], found.mirror[k])}
     result = []
     for k in chosen:
-        d, m, r = found.direct[k], found.mirror[k], found.radius_mm[k]
-        wider = (found.radius_mm > r) & (found.cost < found.cost[k] + POOL_ODDS)
-        outer = np.flatnonzero(wider & (found.mirror == m) & (r < POOL_SHARE * found.radius_mm))
-        outer = np.append(outer, np.flatnonzero(wider & (found.direct == d) & (r > (1 - POOL_SHARE) * found.radius_mm)))
-        free = [c for c in outer if not ({int(found.direct[c]), int(found.mirror[c])} - {int(d), int(m)}) & taken]
-        best = min(free, key=lambda c: float(found.cost[c]), default=k)
-        taken |= {int(found.direct[best]), int(found.mirror[best])}
+        d, m, radius = found.direct[k], found.mirror[k], found.radius_mm[k]
+        outer = [
+            c for c in found.of_mirror[m] if found.direct[c] not in taken and radius < POOL_SHARE * found.radius_mm[c]
+        ]
+        outer += [
+            c
+            for c in found.of_direct[d]
+            if found.mirror[c] not in taken and (1 - POOL_SHARE) * found.radius_mm[c] < radius < found.radius_mm[c]
+        ]
+        fair = [c for c in outer if found.cost[c] < found.cost[k] + POOL_ODDS]
+        best = min(fair, key=found.cost.__getitem__, default=k)
+        taken |= {found.direct[best], found.mirror[best]}
         result.append(best)
-    return np.array(result, np.intp)
+    return result
 
 
-def _unpaired_flags(spots: Highlights, unpaired: IntArray, found: Candidates, chosen: IntArray) -> IntArray:
-    """What each spot (m,) that is left over may be: a paint pool, a seed whose other spot is used or unseen, dust."""
-    flags = spots.flags[unpaired]
-    pairs = set(zip(found.direct[chosen].tolist(), found.mirror[chosen].tolist(), strict=True))
-    for n, spot in enumerate(unpaired):
-        before = set(found.direct[found.mirror == spot].tolist())
-        after = set(found.mirror[found.direct == spot].tolist())
-        if any(d in before and m in after for d, m in pairs):
-            flags[n] |= Flag.PAINT_POOL
+def _unpaired_flags(flags: IntArray, unpaired: IntArray, found: Candidates, chosen: list[int]) -> IntArray:
+    """What each spot (m,) that is left over may be: a paint pool, a seed whose other spot is used or unseen, dust.
+
+    ``flags`` (m,) are those it has already.
+    """
+    partner = {found.direct[k]: found.mirror[k] for k in chosen}
+    result = []
+    for spot, flag in zip(unpaired.tolist(), flags.tolist(), strict=True):
+        before = [found.direct[k] for k in found.of_mirror.get(spot, ())]
+        after = {found.mirror[k] for k in found.of_direct.get(spot, ())}
+        if any(partner.get(d) in after for d in before):
+            flag |= int(Flag.PAINT_POOL)
         elif before or after:
-            flags[n] |= Flag.AMBIGUOUS
-        elif not flags[n] & (Flag.HOT_PIXEL | Flag.AT_EDGE):
-            flags[n] |= Flag.DUST
-    return flags
+            flag |= int(Flag.AMBIGUOUS)
+        elif not flag & NO_DUST:
+            flag |= int(Flag.DUST)
+        result.append(flag)
+    return np.array(result, np.intp)

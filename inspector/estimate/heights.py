@@ -35,11 +35,8 @@ def _exact(spots: Highlights, pairs: HighlightPairs, calibration: Calibration) -
     d, m = pairs.direct, pairs.mirror
     if len(d) == 0:
         return []
-    rays = reflection.rays(calibration.camera, np.concatenate([spots.xy_px[d], spots.xy_px[m]]))
-    k = np.arange(len(d))
-    seeds = reflection.solve(
-        rays.take(k), rays.take(k + len(d)), spots.covariance_px2[d], spots.covariance_px2[m], calibration
-    )
+    rays = reflection.rays(calibration.camera, spots.xy_px)
+    seeds = reflection.solve(rays, spots.covariance_px2, d, m, calibration)
     height_um = 2 * seeds.radius_mm * calibration.height_gain * UM_PER_MM
     sigma_um = 2 * np.sqrt(seeds.covariance[:, 2, 2]) * calibration.height_gain * UM_PER_MM
     residual = np.sqrt(seeds.chi2)
