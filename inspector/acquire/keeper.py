@@ -54,7 +54,7 @@ class Keeper(Generic[DeviceT]):
     ) -> None:
         self.device, self.retry, self._waiting, self._clock = device, retry, waiting, clock
         self._outage = Outage(name, clock)
-        self._open = False
+        self._open = self._broken = False
         self._error: BridgeError | None = None
         self._delay_s = retry.first_s
         self._due_s = clock()
@@ -89,7 +89,13 @@ class Keeper(Generic[DeviceT]):
         return result
 
     def ready(self) -> None:
-        """Open the device if it is closed and a try is due; a failure shows in :meth:`use`."""
+        """Open the device if it is closed and a try is due; a failure shows in :meth:`use`.
+
+        A device that failed is closed here and not at once: closing may wait for it, and the PLC is told first.
+        """
+        if self._broken:
+            self.device.close()
+            self._broken = False
         if self._open or self._clock() < self._due_s:
             return
         try:
@@ -102,7 +108,7 @@ class Keeper(Generic[DeviceT]):
 
     def close(self) -> None:
         """Close the device for good, or until the next use."""
-        self._open, self._works_since_s = False, None
+        self._open, self._broken, self._works_since_s = False, False, None
         self.device.close()
 
     def replace(self, device: DeviceT) -> None:
@@ -114,7 +120,7 @@ class Keeper(Generic[DeviceT]):
     def _failed(self, error: BridgeError) -> None:
         self._error = error
         self._outage.begins(error)
-        self.close()
+        self._open, self._broken, self._works_since_s = False, True, None
         self._due_s = self._clock() + self._delay_s
         self._delay_s = min(2 * self._delay_s, self.retry.longest_s)
 

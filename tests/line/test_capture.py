@@ -176,14 +176,25 @@ def test_an_outage_ends_with_work_done_and_is_logged_twice(caplog: pytest.LogCap
         with pytest.raises(NoReply):
             keeper.use(read)
         clock.now_s = keeper.due_s
-    assert lamp.opened == lamp.closed == 3
     lamp.reads = [4.0]
     keeper.use(read)
     keeper.use(read)
+    assert (lamp.opened, lamp.closed) == (4, 3)
     assert [r.getMessage() for r in caplog.records] == [
         "lamp fails: module: silent",
         "lamp works again after 7.0 s",
     ]
+
+
+def test_a_failure_is_known_before_the_device_is_closed() -> None:
+    lamp = FakeLamp([NoReply("module", "silent")])
+    keeper, _ = kept(lamp)
+    with pytest.raises(NoReply):
+        keeper.use(read)
+    assert lamp.closed == 0
+    keeper.ready()
+    keeper.ready()
+    assert lamp.closed == 1
 
 
 def test_how_long_it_has_worked_counts_from_the_last_outage() -> None:
@@ -205,7 +216,7 @@ def test_another_device_in_its_place_is_tried_at_once() -> None:
     with pytest.raises(DeviceGone):
         keeper.use(read)
     keeper.replace(new)
-    assert old.closed == 2
+    assert old.closed == 1
     assert keeper.use(read) == 4.0
 
 
