@@ -76,10 +76,12 @@ def seeds_at(
     xy_px: FloatArray, spacing_px: FloatArray | float, calibration: Calibration, sunk: FloatArray | float = 1.0
 ) -> FloatArray:
     """Seeds (n, 4) with feet at pixels (n, 2), spots about ``spacing_px`` apart, and centres at ``sunk`` R."""
-    foot = reflection.rays(calibration.camera, xy_px)
-    per_mm = np.hypot(*reflection.directions(foot, calibration).T)
+    foot = calibration.camera.back_project(xy_px)
+    small = np.full(len(foot), 1e-3)
+    direct, mirror = reflection.highlights(np.column_stack([foot, small, small]), calibration)
+    per_mm = np.hypot(*(mirror - direct).T) / small
     radius = spacing_px / per_mm
-    return np.column_stack([calibration.camera.back_project(xy_px), radius, sunk * radius])
+    return np.column_stack([foot, radius, sunk * radius])
 
 
 def spread_px(n: int, rng: np.random.Generator, margin_px: float = 60.0) -> FloatArray:
