@@ -25,6 +25,8 @@ MIN_TILT_DEG = 10.0
 """Under this, a tenth of a pixel hides the tilt, and with it the split between f and distance (the two scale alike)."""
 MAX_F_SIGMA = 0.1
 """A focal length less certain than this share says nothing about where the camera stands."""
+WORST_CONDITION = 1e13
+"""Beyond this, rounding decides what the fit leaves open: a camera as good as infinitely far away."""
 MAX_RESIDUAL_SHARE = 0.01
 """A point further from its prediction than this share of the image's width is misnumbered or mistyped."""
 
@@ -179,10 +181,10 @@ def _check_camera(points: Points, camera: Camera) -> None:
     away = np.linalg.norm(points.xy_px - camera.project(points.world_mm), axis=1)
     limit = MAX_RESIDUAL_SHARE * camera.width_px
     if not np.max(away) <= limit:
-        n = int(np.argmax(np.where(np.isfinite(away), away, np.inf)))
+        n, distance = _odd_one(points)
         raise BoardRefused(
-            f"no camera explains the points: point {n + 1} is {away[n]:.1f} px from where it should be (limit"
-            f" {limit:.1f}, mean {np.mean(away):.1f}); check its coordinates, the numbering and the sensor constants"
+            f"no camera explains the points to {limit:.1f} px: point {n + 1} agrees least, it is {distance:.1f} px from"
+            " where the others put it; check its coordinates, the numbering and the sensor constants"
         )
     if not camera.centre_mm[2] > 0:
         raise BoardRefused(
@@ -192,13 +194,35 @@ def _check_camera(points: Points, camera: Camera) -> None:
     _check_tilt(min(camera.view_angle_deg, 180 - camera.view_angle_deg))
 
 
+def _odd_one(points: Points) -> tuple[int, float]:
+    """The point without which the others agree best on a plane's image, and its distance, px, from where they put it.
+
+    One gross error bends a whole fit, so the largest residual need not be its own.
+    """
+    away = np.array([_plane_residuals(points, k) for k in range(len(points))])
+    others = np.where(np.eye(len(points), dtype=bool), 0.0, away)
+    k = int(np.argmin(np.sum(others**2, axis=1)))
+    return k, float(away[k, k])
+
+
+def _plane_residuals(points: Points, left_out: int) -> FloatArray:
+    """Distances (n,) px from the homography of all points but one (linear least squares on centred, scaled points)."""
+    board, image = (v - v.mean(axis=0) for v in (points.world_mm[:, :2], points.xy_px))
+    size = float(np.std(image))
+    b, i = np.column_stack([board / np.std(board), np.ones(len(board))]), image / size
+    rows = [np.hstack([b, 0 * b, -i[:, :1] * b]), np.hstack([0 * b, b, -i[:, 1:] * b])]
+    h = np.linalg.svd(np.concatenate([np.delete(r, left_out, axis=0) for r in rows]))[2][-1].reshape(3, 3)
+    x, y, w = h @ b.T
+    return np.asarray(size * np.hypot(x / w - i[:, 0], y / w - i[:, 1]))
+
+
 def _check_uncertainty(fitted: Fit) -> None:
     """Refuse a camera that the points leave open."""
     f_share = float(np.sqrt(fitted.covariance[6, 6])) / fitted.camera.f_mm
     if not f_share <= MAX_F_SIGMA:
         raise BoardRefused(
-            f"the focal length is known no better than to {100 * f_share:.0f} %: let the board fill more of the image,"
-            " tilt it more, or measure its points better"
+            f"the focal length is not known well enough (to {100 * f_share:.0f} %, allowed {100 * MAX_F_SIGMA:.0f} %):"
+            " let the board fill more of the image, tilt it more, or measure its points better"
         )
 
 
@@ -355,10 +379,11 @@ def _least_squares_covariance(points: Points, camera: Camera) -> FloatArray:
         (camera.perturbed(step).project(points.world_mm) - camera.perturbed(-step).project(points.world_mm)).ravel()
         for step in np.diag(steps)
     ]
-    if not np.isfinite(moved).all():  # at the end of the distortion's reach: nothing is known of such a camera
-        return np.full((len(PARAMETERS), len(PARAMETERS)), np.inf)
     jacobian = np.array(moved).T / 2e-6  # by parameters in units of their scales, so that the inverse is well posed
-    covariance = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    normal = jacobian.T @ jacobian
+    if not (np.isfinite(normal).all() and np.linalg.cond(normal) < WORST_CONDITION):
+        return np.full((len(PARAMETERS), len(PARAMETERS)), np.inf)
+    covariance = np.linalg.inv(normal)
     return np.asarray((covariance + covariance.T) / 2 * np.outer(scales, scales))
 
 

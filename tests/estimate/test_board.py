@@ -68,11 +68,11 @@ def test_the_rendered_board_gives_the_camera_back(
 
 def height_errors_pct(panel_mm: FloatArray, truth: Calibration, used: Calibration) -> FloatArray:
     """Errors of heights of seeds of 1 mm radius, seen through one calibration and measured by another."""
-    radius = np.ones(len(panel_mm))
-    direct, mirror = reflection.highlights(np.column_stack([panel_mm[:, :2], radius, radius]), truth)
-    one = np.broadcast_to(np.eye(2), (len(panel_mm), 2, 2))
-    rays = [reflection.rays(used.camera, xy) for xy in (direct, mirror)]
-    return np.asarray(100 * (reflection.solve(rays[0], rays[1], one, one, used).radius_mm - 1))
+    n = np.arange(len(panel_mm))
+    spots = reflection.highlights(np.column_stack([panel_mm[:, :2], np.ones((len(n), 2))]), truth)
+    rays = reflection.rays(used.camera, np.concatenate(spots))
+    found = reflection.solve(rays, np.tile(np.eye(2), (2 * len(n), 1, 1)), n, n + len(n), used)
+    return np.asarray(100 * (found.radius_mm - 1))
 
 
 def test_a_centroid_is_not_a_centre(true_calibration: Calibration, truth: dict[str, Any]) -> None:
