@@ -129,7 +129,8 @@ class HighlightPairs:
     """Which highlight is a seed's direct spot and which its mirror: indices into :class:`Highlights`.
 
     ``direct`` and ``mirror`` (k,); ``unpaired`` (m,) with ``unpaired_flags`` (m,) saying what each may be;
-    ``flags`` (k,).
+    ``flags`` (k,). ``rays`` (n, 9) are the viewing rays of all n highlights, as :func:`inspector.reflection.rays` gives
+    them: pairing needs them, and heights again.
     """
 
     direct: IntArray
@@ -137,6 +138,7 @@ class HighlightPairs:
     unpaired: IntArray
     flags: IntArray
     unpaired_flags: IntArray
+    rays: FloatArray
 
 
 @dataclass(frozen=True, slots=True)

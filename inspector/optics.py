@@ -60,7 +60,7 @@ class Camera:
     @cached_property
     def _to_world(self) -> tuple[FloatArray, FloatArray]:
         """What carries sensor coordinates (n, 2) mm to directions in the world: factor (2, 3) and sum (3,)."""
-        inverse = np.linalg.inv(self.rotation)
+        inverse: FloatArray = np.asarray(np.linalg.inv(self.rotation), np.float64)
         return np.ascontiguousarray(inverse[:, :2].T), self.f_mm * inverse[:, 2]
 
     def project(self, points_mm: FloatArray) -> FloatArray:

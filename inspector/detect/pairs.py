@@ -88,7 +88,8 @@ def _grouped(keys: list[int]) -> dict[int, list[int]]:
 
 def pair(spots: Highlights, calibration: Calibration) -> HighlightPairs:
     """Pair the spots of one frame. Every spot is in ``direct``, ``mirror`` or ``unpaired``, and only once."""
-    found = candidates(spots, calibration)
+    rays = reflection.rays(calibration.camera, spots.xy_px)
+    found = candidates(spots, rays, calibration)
     chosen = best_matching(found.direct, found.mirror, found.cost, WORTH)
     if len(chosen) >= 3:
         found = _alike(found, chosen, spots.flux_sigma)
@@ -100,22 +101,18 @@ def pair(spots: Highlights, calibration: Calibration) -> HighlightPairs:
     left[direct] = left[mirror] = False
     unpaired = left.nonzero()[0]
     flags = spots.flags[direct] | spots.flags[mirror]
-    return HighlightPairs(
-        direct, mirror, unpaired, flags, _unpaired_flags(spots.flags[unpaired], unpaired, found, chosen)
-    )
+    why = _unpaired_flags(spots.flags[unpaired], unpaired, found, chosen)
+    return HighlightPairs(direct, mirror, unpaired, flags, why, rays)
 
 
-def candidates(spots: Highlights, calibration: Calibration) -> Candidates:
-    """All couples that lie along the direction from direct to mirror spot and fit the model at all."""
+def candidates(spots: Highlights, rays: FloatArray, calibration: Calibration) -> Candidates:
+    """All couples that lie along the direction from direct to mirror spot and fit the model at all.
+
+    ``rays`` (n, 9) are the spots' (:func:`inspector.reflection.rays`).
+    """
     able = (spots.flags & UNABLE == 0).nonzero()[0]
-    given = (
-        spots.xy_px,
-        spots.covariance_px2,
-        spots.flux_dn,
-        spots.flux_sigma,
-        reflection.rays(calibration.camera, spots.xy_px),
-    )
-    arguments = (reflection.scene(calibration), _RULES, len(able), able.tobytes(), *(a.tobytes() for a in given))
+    given = (able, spots.xy_px, spots.covariance_px2, spots.flux_dn, spots.flux_sigma, rays)
+    arguments = (reflection.scene(calibration), _RULES, len(able), *(a.tobytes() for a in given))
     room, count = 0, COUPLES_A_SPOT * len(able) + 1
     while count > room:
         room = count
@@ -143,23 +140,24 @@ def _outermost(found: Candidates, chosen: list[int]) -> list[int]:
 
     The pool at a seed's foot throws a third spot between the two, on the mirror's side; nothing throws one beyond.
     """
-    taken = {spot for k in chosen for spot in (found.direct[k], found.mirror[k])}
-    result = []
-    for k in chosen:
-        d, m, radius = found.direct[k], found.mirror[k], found.radius_mm[k]
-        outer = [
-            c for c in found.of_mirror[m] if found.direct[c] not in taken and radius < POOL_SHARE * found.radius_mm[c]
-        ]
-        outer += [
-            c
-            for c in found.of_direct[d]
-            if found.mirror[c] not in taken and (1 - POOL_SHARE) * found.radius_mm[c] < radius < found.radius_mm[c]
-        ]
-        fair = [c for c in outer if found.cost[c] < found.cost[k] + POOL_ODDS]
-        best = min(fair, key=found.cost.__getitem__, default=k)
-        taken |= {found.direct[best], found.mirror[best]}
-        result.append(best)
-    return result
+    of_direct, of_mirror = {found.direct[k]: k for k in chosen}, {found.mirror[k]: k for k in chosen}
+    wider: dict[int, list[int]] = defaultdict(list)
+    for c in set(range(len(found.cost))).difference(chosen):
+        k, radius = of_mirror.get(found.mirror[c]), found.radius_mm[c]
+        if k is not None and found.radius_mm[k] < POOL_SHARE * radius:
+            wider[k].append(c)
+        k = of_direct.get(found.direct[c])
+        if k is not None and (1 - POOL_SHARE) * radius < found.radius_mm[k] < radius:
+            wider[k].append(c)
+    taken = {*of_direct, *of_mirror}
+    best = {k: k for k in chosen}
+    for k in sorted(wider):
+        ends = {found.direct[k], found.mirror[k]}
+        free = [c for c in wider[k] if not ({found.direct[c], found.mirror[c]} - ends) & taken]
+        fair = [c for c in free if found.cost[c] < found.cost[k] + POOL_ODDS]
+        best[k] = min(fair, key=found.cost.__getitem__, default=k)
+        taken |= {found.direct[best[k]], found.mirror[best[k]]}
+    return list(best.values())
 
 
 def _unpaired_flags(flags: IntArray, unpaired: IntArray, found: Candidates, chosen: list[int]) -> IntArray:

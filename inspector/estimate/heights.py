@@ -14,6 +14,7 @@ from inspector.optics import Calibration
 UM_PER_MM = 1000.0
 INCONSISTENT_SIGMA = 5.0
 """A pair whose spare equation is off by more is flagged: a chance pair, a sunk seed, or a poor calibration."""
+INCONSISTENT = int(Flag.INCONSISTENT)
 SUNK_SHARE = 0.009
 """A seed sunk in the paint reads low by 0.7 to 1.2 % (centre at 0.7 to 0.5 of the radius): the mean of the two."""
 
@@ -24,8 +25,8 @@ def measure(
     """Defects of one frame, highest first, and its unpaired highlights."""
     defects = _exact(spots, pairs, calibration) if method == "exact" else _thesis(spots, pairs, calibration)
     unpaired = tuple(
-        Unpaired(float(x), float(y), Flag(int(f)))
-        for (x, y), f in zip(spots.xy_px[pairs.unpaired], pairs.unpaired_flags, strict=True)
+        Unpaired(x, y, Flag(f))
+        for (x, y), f in zip(spots.xy_px[pairs.unpaired].tolist(), pairs.unpaired_flags.tolist(), strict=True)
     )
     return tuple(sorted(defects, key=lambda d: -d.height_um)), unpaired
 
@@ -35,25 +36,28 @@ def _exact(spots: Highlights, pairs: HighlightPairs, calibration: Calibration) -
     d, m = pairs.direct, pairs.mirror
     if len(d) == 0:
         return []
-    rays = reflection.rays(calibration.camera, spots.xy_px)
-    seeds = reflection.solve(rays, spots.covariance_px2, d, m, calibration)
-    height_um = 2 * seeds.radius_mm * calibration.height_gain * UM_PER_MM
-    sigma_um = 2 * np.sqrt(seeds.covariance[:, 2, 2]) * calibration.height_gain * UM_PER_MM
-    residual = np.sqrt(seeds.chi2)
-    flags = pairs.flags | np.where(residual > INCONSISTENT_SIGMA, int(Flag.INCONSISTENT), 0)
+    seeds = reflection.solve(pairs.rays, spots.covariance_px2, d, m, calibration)
+    um_a_radius = 2 * calibration.height_gain * UM_PER_MM
+    with np.errstate(invalid="ignore"):  # a pair that no seed explains has no number, and FAILs for it
+        sigma_um = um_a_radius * np.sqrt(seeds.covariance[:, 2, 2])
+        residual = np.sqrt(seeds.chi2)
+    columns = (seeds.x_mm, seeds.y_mm, um_a_radius * seeds.radius_mm, sigma_um, residual, pairs.flags)
+    places = zip(spots.xy_px[d].tolist(), spots.xy_px[m].tolist(), strict=True)
     return [
         Defect(
-            x_mm=float(seeds.x_mm[n]),
-            y_mm=float(seeds.y_mm[n]),
-            height_um=float(height_um[n]),
-            height_sigma_um=float(sigma_um[n]),
-            direct_px=_pixel(spots.xy_px[d[n]]),
-            mirror_px=_pixel(spots.xy_px[m[n]]),
-            flags=Flag(int(flags[n])),
-            residual_sigma=float(residual[n]),
-            sunk_bias_um=float(SUNK_SHARE * height_um[n]),
+            x_mm=x_mm,
+            y_mm=y_mm,
+            height_um=height_um,
+            height_sigma_um=sigma_um,
+            direct_px=(direct[0], direct[1]),
+            mirror_px=(mirror[0], mirror[1]),
+            flags=Flag(flag | INCONSISTENT if residual > INCONSISTENT_SIGMA else flag),
+            residual_sigma=residual,
+            sunk_bias_um=SUNK_SHARE * height_um,
         )
-        for n in range(len(d))
+        for x_mm, y_mm, height_um, sigma_um, residual, flag, (direct, mirror) in zip(
+            *(c.tolist() for c in columns), places, strict=True
+        )
     ]
 
 
