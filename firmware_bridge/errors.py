@@ -29,6 +29,10 @@ class NoReply(BridgeError):
     """The device did not answer, or gave no frame, within its deadline."""
 
 
+class NoTrigger(NoReply):
+    """The camera works and waits for its hardware line: the line stands still. No fault; the device stays open."""
+
+
 class EndOfRecording(NoReply):
     """A recording was shown to its end; there is nothing wrong, and nothing more."""
 

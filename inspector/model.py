@@ -119,6 +119,8 @@ class Highlights:
     threshold_dn: float = 0.0
     background_dn: float = 0.0
     noise_dn: float = 0.0
+    full_scale_dn: float = 255.0
+    """Where the sensor clips, as far as the frame tells."""
 
     def __len__(self) -> int:
         return len(self.xy_px)
@@ -178,6 +180,8 @@ class FrameResult:
     defects: tuple[Defect, ...] = ()
     unpaired: tuple[Unpaired, ...] = ()
     elapsed_us: float = 0.0
+    highlights: Highlights | None = field(default=None, compare=False, repr=False)
+    """The spots it was judged by; None where the frame was refused before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,10 +206,13 @@ class Snapshot:
     panels_failed: int = 0
     panels_not_inspected: int = 0
     missed_triggers: int = 0
+    late_triggers: int = 0
     overruns: int = 0
     lamp_set_v: float = 0.0
     lamp_read_v: float = 0.0
     lamp_ok: bool = False
+    lamp_weak: bool = False
+    """The lamp has used up most of what its level may be raised by: change the bulb soon."""
     camera_ok: bool = False
     exposure_us: float = 0.0
     configuration_hash: int = 0

@@ -50,7 +50,7 @@ def inspect(frame: Frame, station: Station) -> FrameResult:
     pairs = pairs_stage.pair(highlights, calibration)
     defects, unpaired = heights_stage.measure(highlights, pairs, calibration, recipe.method)
     verdict, reasons, texts = judge(defects, unpaired, recipe.limits, station.area_m2)
-    return FrameResult(frame.name, verdict, reasons, texts, defects, unpaired)
+    return FrameResult(frame.name, verdict, reasons, texts, defects, unpaired, highlights=highlights)
 
 
 def _check(frame: Frame, camera: Camera) -> None:

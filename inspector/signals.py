@@ -11,6 +11,8 @@ import contextlib
 import select
 import signal
 import socket
+import time
+from collections import deque
 from collections.abc import Iterator
 
 
@@ -19,11 +21,12 @@ class StopRequested(BaseException):
 
 
 class Signals:
-    """SIGTERM and SIGINT ask to stop, SIGHUP to read the settings again."""
+    """SIGTERM and SIGINT ask to stop, SIGHUP to read the settings again, SIGUSR1 for one inspection."""
 
     def __init__(self) -> None:
         self.stop = False
         self.reload = False
+        self._triggers: deque[float] = deque()
         self._interruptible = False
         self._woken, self._wake = socket.socketpair()
         self._woken.setblocking(False)
@@ -35,6 +38,7 @@ class Signals:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: self._stop_now())
         signal.signal(signal.SIGHUP, lambda *_: self.request_reload())
+        signal.signal(signal.SIGUSR1, lambda *_: self.request_trigger())
 
     def _stop_now(self) -> None:
         self.request_stop()
@@ -51,6 +55,19 @@ class Signals:
         """Read the settings again after this cycle; from any thread."""
         self.reload = True
         self._ring()
+
+    def request_trigger(self) -> None:
+        """One inspection, if the station is triggered so; from any thread."""
+        self._triggers.append(time.monotonic())
+        self._ring()
+
+    def take_triggers(self) -> list[float]:
+        """When triggers came since this was asked last, monotonic seconds."""
+        taken = []
+        with contextlib.suppress(IndexError):
+            while True:
+                taken.append(self._triggers.popleft())
+        return taken
 
     @contextlib.contextmanager
     def interruptible(self) -> Iterator[None]:

@@ -147,6 +147,7 @@ def _measured(view: View, spots: Spots) -> Highlights:
         threshold_dn=view.lit.threshold_dn,
         background_dn=view.ground.level_dn,
         noise_dn=view.ground.noise_dn,
+        full_scale_dn=view.response.sensor.saturation_dn,
     )
 
 
@@ -302,4 +303,5 @@ def none(view: View) -> Highlights:
         threshold_dn=view.lit.threshold_dn,
         background_dn=view.ground.level_dn,
         noise_dn=view.ground.noise_dn,
+        full_scale_dn=view.response.sensor.saturation_dn,
     )
