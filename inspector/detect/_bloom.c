@@ -40,7 +40,7 @@ static void overflow(i64 n, const double *e, double full, double kept, double *u
 
 /* The share of a Gaussian of standard deviation s about m that pixel i collects. */
 static inline double collected(double i, double m, double s) {
-    return 0.5 * (erf((i - m + 0.5) / (s * M_SQRT2)) - erf((i - m - 0.5) / (s * M_SQRT2)));
+    return 0.5 * (erf((i - m + 0.5) / (s * SQRT_2)) - erf((i - m - 0.5) / (s * SQRT_2)));
 }
 
 /* Light of the patch for the parameters t of n spots; `ends` marks the pixels next to a full one along the run. */

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from inspector.detect import kernel
-from inspector.detect.fit import Fitted, Response
-from inspector.detect.lit import Lit
-from inspector.detect.spots import Spots
+from inspector.detect.fit import BLUR2, FLUX, Fitted, Response
+from inspector.detect.kernel import Detected
+from inspector.detect.spots import SATURATED_PX, Spots
 from inspector.model import FloatArray, Image, IntArray
 
 CHARGE_SHARE = 0.15
@@ -91,12 +91,12 @@ class Solved:
         return float(self.theta[-1])
 
 
-def charge(lit: Lit, spots: Spots, ground_light: FloatArray, response: Response) -> tuple[FloatArray, FloatArray]:
+def charge(lit: Detected, spots: Spots, ground_light: FloatArray, response: Response) -> tuple[FloatArray, FloatArray]:
     """Centroids (n, 2) of the lit pixels nearest to each spot, weighted by light over its ground (n,), and their sum.
 
     Charge runs both ways alike and clipping is even on both sides, so what is left of a lone spot's keeps its centre.
     """
-    n = len(spots.centre_px)
+    n = len(spots)
     at = np.column_stack([lit.columns, lit.rows]).astype(np.float64)
     distance = np.abs(at[:, None] - spots.centre_px).sum(axis=2)
     distance[lit.component[:, None] != spots.component] = np.inf
@@ -109,9 +109,9 @@ def charge(lit: Lit, spots: Spots, ground_light: FloatArray, response: Response)
     return np.where(total[:, None] > 1, moments / total[:, None], spots.centre_px), total
 
 
-def refine(image: Image, lit: Lit, spots: Spots, fitted: Fitted, response: Response) -> tuple[Spots, list[Solved]]:
+def refine(image: Image, lit: Detected, spots: Spots, fitted: Fitted, response: Response) -> tuple[Spots, list[Solved]]:
     """The clusters of a blooming frame's clipped spots, solved; and the spots with those found hidden in them."""
-    blur2 = max(float(np.median(fitted.blur_px2)) - 1 / 12, 0.1)
+    blur2 = max(float(np.median(fitted.table[:, BLUR2])) - 1 / 12, 0.1)
     clusters = [c for c in _clusters(image, lit, spots, fitted, response) if c is not None]
     first = [_solve(c, spots, response, blur2, KEPT, KEPT_SIGMA) for c in clusters]
     alone = [s for s in first if len(s.cluster.members) == 1]
@@ -143,7 +143,7 @@ def _with_hidden(
         start = np.concatenate(
             [found.theta[: 3 * len(c.members)], place, [shares[:, 2].min() - 0.7], found.theta[-5:-2]]
         )
-        wider = replace(c, members=np.append(c.members, len(crowd.centre_px) - 1), start=start)
+        wider = replace(c, members=np.append(c.members, len(crowd) - 1), start=start)
         trial = _solve(wider, crowd, response, blur2, kept, sigma)
         if trial.chi2 > HIDDEN_GAIN * found.chi2:
             break
@@ -157,13 +157,15 @@ def _smooth(deviation: FloatArray) -> FloatArray:
     return np.asarray(np.sum([wide[r : r + height, c : c + width] for r in range(3) for c in range(3)], axis=0))
 
 
-def _clusters(image: Image, lit: Lit, spots: Spots, fitted: Fitted, response: Response) -> list[Cluster | None]:
+def _clusters(image: Image, lit: Detected, spots: Spots, fitted: Fitted, response: Response) -> list[Cluster | None]:
     """The components that hold a clipped spot, each with all its spots; None for one too large to solve."""
-    homes = np.unique(spots.component[spots.saturated_px > 0])
+    homes = np.unique(spots.component[spots.clipped])
     return [_cluster(image, lit, spots, fitted, response, int(home)) for home in homes]
 
 
-def _cluster(image: Image, lit: Lit, spots: Spots, fitted: Fitted, response: Response, home: int) -> Cluster | None:
+def _cluster(
+    image: Image, lit: Detected, spots: Spots, fitted: Fitted, response: Response, home: int
+) -> Cluster | None:
     """One component's patch. Light of other components, and next to it, has no weight."""
     members = np.flatnonzero(spots.component == home)
     rows, columns = lit.rows[lit.component == home], lit.columns[lit.component == home]
@@ -179,14 +181,14 @@ def _cluster(image: Image, lit: Lit, spots: Spots, fitted: Fitted, response: Res
     weight[_foreign(lit, home, top, left, grey.shape)] = 0.0
     corner = np.array([left, top])
     place = spots.centre_px[members] - corner
-    flux = np.log(np.maximum(fitted.flux_dn[members], _clipped_charge(spots, members, response)))
+    flux = np.log(np.maximum(fitted.table[members, FLUX], _clipped_charge(spots, members, response)))
     start = np.concatenate([np.column_stack([place, np.minimum(flux, _most_flux(spots, members, response))]).ravel()])
     return Cluster(members, corner, light, weight, np.append(start, [level, 0.0, 0.0]))
 
 
 def _clipped_charge(spots: Spots, members: IntArray, response: Response) -> FloatArray:
     """Charge (k,) DN px that the clipped pixels hold at the least."""
-    return np.maximum(spots.saturated_px[members], 0.5) * response.sensor.saturation_dn
+    return np.maximum(spots.table[members, SATURATED_PX], 0.5) * response.sensor.saturation_dn
 
 
 def _most_flux(spots: Spots, members: IntArray, response: Response) -> FloatArray:
@@ -194,7 +196,7 @@ def _most_flux(spots: Spots, members: IntArray, response: Response) -> FloatArra
     return np.log(_clipped_charge(spots, members, response) * 8)
 
 
-def _foreign(lit: Lit, home: int, top: int, left: int, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+def _foreign(lit: Detected, home: int, top: int, left: int, shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
     """Where (h, w) of a patch the light of other components lies, one pixel around it included."""
     mask = np.zeros((shape[0] + 2, shape[1] + 2), np.bool_)
     rows, columns = lit.rows - top + 1, lit.columns - left + 1

@@ -4,30 +4,35 @@ A seed's highlight is 0.04 to 0.2 px wide for a 1 mm seed, so what the sensor sh
 Gaussian (J. Anderson, I. King, PASP 112, 2000, say why a fitted profile beats a centroid on under-sampled spots).
 A clipped pixel asks only that the model be at least as bright: the flanks carry the position. Where charge blooms,
 clipped pixels and the ends of their runs tell nothing. Neighbours are subtracted with their own latest model, and
-spots that touch are solved together. The loops are in `_kernel.c`; this file sets what they go by.
+spots that touch are solved together. The loops are in `_fit.c`; this file sets what they go by.
 """
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from inspector.detect import kernel
-from inspector.model import FloatArray, Image, IntArray
+from inspector.model import FloatArray, Image
 from inspector.optics import Sensor
 
-PARAMETERS = 9
-X, Y, LOG_PEAK, SXX, SXY, SYY, BACKGROUND, SLOPE_X, SLOPE_Y = range(PARAMETERS)
-"""A spot's parameters: centre, log of its peak, blur covariance, background with slopes."""
+X, Y, VARIANCE_X, COVARIANCE_XY, VARIANCE_Y, PEAK, FLUX, BLUR2, CHI2, MISFIT_X, MISFIT_Y, MISFIT_SIGMA, GROUND = range(
+    13
+)
+"""Columns of what the fit found, as `_fit.c` numbers them."""
+WINDOW_RADIUS_PX = (4.0, 12.0)
+"""Radius of the fit's windows, least and most: the spot and two pixels of background around it."""
 ROUNDS, SETTLED_PX = 40, 0.002
 """Gauss-Newton rounds at most, and the move under which a fit has settled; isolated spots take four or five."""
 HELD_SHARE, FREE_SHARE = 0.1, 1.0
 """How far the blur's variance may be from the usual, as a share of it: clipped or touching spots, typical ones."""
 STEEP_SHARE = 0.1
 """A background slope of this share of the peak a pixel is already unlikely."""
-TANGLED_PX, DAMPING = 6, 0.1
+TANGLED_PX, DAMPING = 6.0, 0.1
 """Spots nearer than this along both axes are solved together; Levenberg's damping of such steps."""
 SATURATED_SHARE = 0.98
 """Pixels at this share of full scale are taken as clipped: pattern noise comes after the clip on many sensors."""
@@ -65,79 +70,78 @@ class Response:
             np.maximum((grey_dn - self.black_dn) / span, 0.0) ** (1 / self.sensor.gamma) * span + self.black_dn
         )
 
+    @cached_property
+    def read_dn(self) -> float:
+        """Standard deviation of a dark pixel, DN."""
+        return max(self.noise_dn, 0.5 * self.sensor.saturation_dn / 255)
+
+    @cached_property
+    def shot_per_dn(self) -> float:
+        """Variance that a DN of light over the background adds, DN^2."""
+        return self.sensor.saturation_dn / 255 / ELECTRONS_PER_DN_8BIT
+
+    @cached_property
+    def level(self) -> float:
+        """The background in linear light, DN."""
+        return float(self.light(np.array([self.level_dn]))[0])
+
     def variance(self, light: FloatArray) -> FloatArray:
         """Variance of linear light, DN^2: read noise, shot noise over the background, pattern."""
-        rules = self.rules((0, 0), 0.0)
-        signal = np.maximum(light - rules.level, 0.0)
-        return np.asarray(rules.read_dn**2 + signal * rules.shot_per_dn + (rules.pattern * light) ** 2)
+        shot = np.maximum(light - self.level, 0.0) * self.shot_per_dn
+        return np.asarray(self.read_dn**2 + shot + (PATTERN_SHARE * light) ** 2)
 
-    def rules(self, bloom: tuple[int, int], reach_px: float) -> kernel.Rules:
-        """What the fit goes by. ``bloom``: rows and columns from a clipped pixel to where its charge runs."""
-        scale = self.sensor.saturation_dn / 255
-        return kernel.Rules(
-            black=self.black_dn,
-            gamma=self.sensor.gamma,
-            clipped=self.clipped_dn,
-            full=self.sensor.saturation_dn,
-            level=float(self.light(np.array([self.level_dn]))[0]),
-            read_dn=max(self.noise_dn, 0.5 * scale),
-            shot_per_dn=scale / ELECTRONS_PER_DN_8BIT,
-            pattern=PATTERN_SHARE,
-            reach_px=reach_px,
-            tangled_px=TANGLED_PX,
-            damping=DAMPING,
-            settled_px=SETTLED_PX,
-            held_share=HELD_SHARE,
-            free_share=FREE_SHARE,
-            steep_share=STEEP_SHARE,
-            bloom_rows=bloom[0],
-            bloom_columns=bloom[1],
-            rounds=ROUNDS,
-        )
+    def rules(self, bloom: tuple[int, int], threshold_dn: float) -> bytes:
+        """What the fit goes by: `Rules` of `_fit.c`. ``bloom``: from a clipped pixel to where its charge runs."""
+        light = (self.black_dn, self.sensor.gamma, self.clipped_dn, self.sensor.saturation_dn, self.level)
+        noise = (self.read_dn, self.shot_per_dn, PATTERN_SHARE)
+        shares = (HELD_SHARE, FREE_SHARE, STEEP_SHARE)
+        windows = (threshold_dn, *WINDOW_RADIUS_PX, TANGLED_PX, DAMPING, SETTLED_PX)
+        return struct.pack("17d3q", *light, *noise, *windows, *shares, *bloom, ROUNDS)
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """Centres (n, 2) px with covariance (n, 2, 2), peak (n,) DN, flux (n,) DN px, blur variance (n,) px^2, chi2 (n,).
+    """What the fit found of n spots, ``table`` (n, 13): the columns above, lengths in px, light in DN."""
 
-    ``misfit_px`` (n, 2) is the pixel where the data exceed the model most, by ``misfit_sigma`` (n,) deviations.
-    """
+    table: FloatArray
 
-    xy_px: FloatArray
-    covariance_px2: FloatArray
-    peak_dn: FloatArray
-    flux_dn: FloatArray
-    blur_px2: FloatArray
-    chi2: FloatArray
-    misfit_px: FloatArray
-    misfit_sigma: FloatArray
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @property
+    def xy_px(self) -> FloatArray:
+        """Centres (n, 2)."""
+        return self.table[:, : Y + 1]
+
+    @property
+    def covariance_px2(self) -> FloatArray:
+        """Covariance (n, 2, 2) of the centres, from the noise alone; NaN where the fit has no one answer."""
+        xx, xy, yy = range(VARIANCE_X, VARIANCE_Y + 1)
+        return self.table[:, (xx, xy, xy, yy)].reshape(-1, 2, 2)
+
+    @property
+    def chi2(self) -> FloatArray:
+        """Misfit (n,) per degree of freedom: 1 where the noise is as assumed and the profile fits."""
+        return self.table[:, CHI2]
+
+    @property
+    def misfit_px(self) -> FloatArray:
+        """The pixel (n, 2) where the data exceed the model most."""
+        return self.table[:, MISFIT_X : MISFIT_Y + 1]
 
 
 def fit(
     image: Image,
     response: Response,
     bloom: tuple[int, int],
-    centre: IntArray,
-    radius: FloatArray,
+    threshold_dn: float,
+    spots: FloatArray,
     typical: npt.NDArray[np.bool_],
-    start: FloatArray,
 ) -> Fitted:
-    """Fit n spots at once in round windows around integer ``centre`` (n, 2) x, y of ``radius`` (n,) px.
+    """Fit n spots at once, each in a round window as large as its share of its component asks for.
 
-    ``start`` (n, 9): first guesses, positions as offsets from the centres. The blur of spots that are not ``typical``
-    (n,), the clipped ones above all, is held near that of those that are: flanks tell position well but blur badly.
+    ``spots`` (n, 6): the ground's grey value, the component's share in pixels, clipped pixels, the clipped lobe's lesser
+    extent, x, y. The blur of spots that are not ``typical`` (n,), the clipped ones above all, is held near that of those
+    that are: flanks tell position well but blur badly.
     """
-    done = kernel.fit(image, response.rules(bloom, 2 * float(radius.max())), centre, radius, typical, start)
-    theta = done.theta
-    peak = np.exp(theta[:, LOG_PEAK])
-    blur2 = np.sqrt(np.maximum(theta[:, SXX] * theta[:, SYY] - theta[:, SXY] ** 2, 1e-6))
-    return Fitted(
-        xy_px=centre + theta[:, :2],
-        covariance_px2=done.covariance,
-        peak_dn=peak,
-        flux_dn=2 * np.pi * blur2 * peak,
-        blur_px2=blur2,
-        chi2=done.chi2,
-        misfit_px=(centre + done.misfit).astype(np.float64),
-        misfit_sigma=done.misfit_sigma,
-    )
+    return Fitted(kernel.fit(image, response.rules(bloom, threshold_dn), spots, typical.tobytes()))

@@ -1,7 +1,7 @@
 """Lit pixels of a dark frame and the components they form, at the cost of one pass over memory.
 
 The pass takes each row's maximum; only rows that reach the threshold are looked at again, and from there on the
-work is in proportion to what is lit. The loops are in `_kernel.c` and `_background.c`.
+work is in proportion to what is lit. The loops are in `_lit.c` and `_background.c`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from functools import cached_property
 import numpy as np
 
 from inspector import native
-from inspector.detect import kernel
 from inspector.model import FloatArray, Image, IntArray
 from inspector.native import out
 
@@ -86,25 +85,3 @@ def _samples(length: int, tiles: int) -> tuple[int, int, int]:
     step = max(length // (tiles * SAMPLES), 1)
     count = len(range(step // 2, length, step))
     return step, min(count, tiles), count // min(count, tiles)
-
-
-@dataclass(frozen=True)
-class Lit:
-    """Lit pixels in row-major order: rows, columns, grey (n,), and the component (n,) each belongs to."""
-
-    rows: IntArray
-    columns: IntArray
-    grey_dn: FloatArray
-    component: IntArray
-    count: int
-    threshold_dn: float
-
-
-def find(image: Image, thresholds_dn: FloatArray, most_share: float) -> Lit | None:
-    """The pixels above thresholds given at tile centres; None if they are more than this share of the frame."""
-    found = kernel.lit(image, thresholds_dn, int(most_share * image.size) + 1)
-    if found is None:
-        return None
-    rows, columns, grey = found
-    label = kernel.components(rows, columns)
-    return Lit(rows, columns, grey, label, int(label.max(initial=-1)) + 1, float(thresholds_dn.max()))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from inspector.detect import kernel
-from inspector.detect.lit import Lit
 from inspector.model import FloatArray, Image, IntArray
 
 BLOOM_PX, BLOOM_LEAST_PX = 0.75, 2
@@ -22,62 +23,79 @@ SADDLE_SHARE = 0.965
 """Two lobes are two only where the blurred grey value between them falls below this share of the lower."""
 
 
+X, Y, COMPONENT, SATURATED_PX, NARROW_PX, LONGER_PX, COMPONENT_PX, COMPONENT_X, COMPONENT_Y, AT_EDGE, IS_HOT = range(11)
+"""Columns of a spot's row, as `_lit.c` numbers them."""
+
+
 @dataclass(frozen=True)
 class Spots:
     """Where to fit n spots: those with a saturated lobe first, then the local maxima.
 
-    ``centre_px`` (n, 2) x, y; ``component`` (n,); ``saturated_px`` (n,) clipped pixels; ``narrow_px`` (n,) the lobe's
-    lesser extent; ``bloom``: rows and columns from a clipped pixel to where its charge ran over, (0, 0) if it did not.
+    ``table`` (n, 11): centre x, y px; component; clipped pixels; the lobe's lesser extent and how much it is taller than
+    wide; its component's pixels and their plain centroid, whether that touches the frame's edge; whether it is hot.
+    ``bloom``: rows and columns from a clipped pixel to where its charge ran over, (0, 0) if it did not.
     """
 
-    centre_px: FloatArray
-    component: IntArray
-    saturated_px: IntArray
-    narrow_px: FloatArray
+    table: FloatArray
     bloom: tuple[int, int]
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @property
+    def centre_px(self) -> FloatArray:
+        """Centres (n, 2) x, y before they are fitted."""
+        return self.table[:, : Y + 1]
+
+    @cached_property
+    def component(self) -> IntArray:
+        """Which component (n,) each lies in."""
+        return self.table[:, COMPONENT].astype(np.intp)
+
+    @cached_property
+    def clipped(self) -> npt.NDArray[np.bool_]:
+        """Which spots (n,) have clipped pixels."""
+        return self.table[:, SATURATED_PX] > 0
 
     def with_more(self, hosts: IntArray, centre_px: FloatArray) -> Spots:
         """The same and one more spot in the component of each of the ``hosts`` (m,), at ``centre_px`` (m, 2)."""
-        none = np.zeros(len(hosts))
-        return replace(
-            self,
-            centre_px=np.vstack([self.centre_px, centre_px]),
-            component=np.concatenate([self.component, self.component[hosts]]),
-            saturated_px=np.concatenate([self.saturated_px, none.astype(np.intp)]),
-            narrow_px=np.concatenate([self.narrow_px, none]),
-        )
+        more = self.table[hosts]
+        more[:, : Y + 1] = centre_px
+        more[:, SATURATED_PX : LONGER_PX + 1] = more[:, IS_HOT:] = 0.0
+        return replace(self, table=np.vstack([self.table, more]))
 
 
-def find_spots(image: Image, lit: Lit, saturated_dn: float) -> Spots:
-    """The spots of a frame's lit pixels; pixels of at least ``saturated_dn`` count as clipped."""
-    clipped = np.flatnonzero(lit.grey_dn >= saturated_dn)
-    rows, columns = lit.rows[clipped], lit.columns[clipped]
-    lobe = _lobes(image, rows, columns, saturated_dn)
-    count = int(lobe.max(initial=-1)) + 1
-    size = np.bincount(lobe, minlength=count)
-    centre = np.column_stack([np.bincount(lobe, v, count) for v in (columns, rows)]) / np.maximum(size, 1)[:, None]
-    tall, wide = (_extent(lobe, v, count) for v in (rows, columns))
-    home = np.zeros(count, np.intp)
-    home[lobe] = lit.component[clipped]
-    peak = np.flatnonzero(kernel.peaks(image, lit.rows, lit.columns, lit.grey_dn, saturated_dn))
-    none = np.zeros(len(peak))
-    return Spots(
-        np.vstack([centre, np.column_stack([lit.columns[peak], lit.rows[peak]])]),
-        np.concatenate([home, lit.component[peak]]),
-        np.concatenate([size, none.astype(np.intp)]),
-        np.concatenate([np.minimum(tall, wide), none]),
-        _bloom(tall, wide),
+def find_spots(image: Image, found: kernel.Detected, saturated_dn: float) -> Spots:
+    """The spots of a frame; pixels of at least ``saturated_dn`` count as clipped."""
+    table, plateaus = found.spots, found.plateaus
+    if plateaus == 0:
+        return Spots(table, (0, 0))
+    lobes = table[:plateaus]
+    if (lobes[:, NARROW_PX] + np.maximum(np.abs(lobes[:, LONGER_PX]), 0)).max() > SINGLE_PX:
+        lobes = _lobes(image, found, saturated_dn)
+        table = np.vstack([lobes, table[plateaus:]])
+    return Spots(table, _bloom(lobes[:, LONGER_PX]))
+
+
+def _lobes(image: Image, found: kernel.Detected, saturated_dn: float) -> FloatArray:
+    """Rows of the table for the lobes of all plateaus: parted where they have a waist, or runs with two middles."""
+    clipped = np.flatnonzero(found.plateau >= 0)
+    rows, columns, plateau = found.rows[clipped], found.columns[clipped], found.plateau[clipped]
+    lobe = _parted_runs(
+        _parted_runs(_waisted(image, rows, columns, plateau, saturated_dn), rows, columns), columns, rows
     )
+    count = int(lobe.max()) + 1
+    host = np.zeros(count, np.intp)
+    host[lobe] = plateau
+    table = found.spots[host]
+    size, tall, wide = np.bincount(lobe, minlength=count), _extent(lobe, rows, count), _extent(lobe, columns, count)
+    table[:, X], table[:, Y] = np.bincount(lobe, columns, count) / size, np.bincount(lobe, rows, count) / size
+    table[:, SATURATED_PX], table[:, NARROW_PX], table[:, LONGER_PX] = size, np.minimum(tall, wide), tall - wide
+    return table
 
 
-def _lobes(image: Image, rows: IntArray, columns: IntArray, saturated_dn: float) -> IntArray:
-    """Which lobe each saturated pixel (n,) belongs to: plateaus, parted where they have a waist."""
-    if len(rows) == 0:
-        return np.empty(0, np.intp)
-    plateau = kernel.components(rows, columns)
-    count = int(plateau.max()) + 1
-    if max(_extent(plateau, rows, count).max(), _extent(plateau, columns, count).max()) <= SINGLE_PX:
-        return plateau
+def _waisted(image: Image, rows: IntArray, columns: IntArray, plateau: IntArray, saturated_dn: float) -> IntArray:
+    """Which lobe each clipped pixel (n,) belongs to: plateaus, parted where they have a waist."""
     blurred = _blurred(image, rows, columns, saturated_dn)
     tops = _tops(rows, columns, blurred)
     at = np.column_stack([rows, columns]).astype(np.float64)
@@ -88,8 +106,7 @@ def _lobes(image: Image, rows: IntArray, columns: IntArray, saturated_dn: float)
             kept.append(int(t))
     distance = np.sum((at[:, None] - at[kept]) ** 2, axis=2)
     distance[plateau[:, None] != plateau[kept]] = np.inf
-    lobe = np.unique(distance.argmin(axis=1), return_inverse=True)[1]
-    return _parted_runs(_parted_runs(lobe, rows, columns), columns, rows)
+    return np.unique(distance.argmin(axis=1), return_inverse=True)[1]
 
 
 def _parted_runs(lobe: IntArray, along: IntArray, across: IntArray) -> IntArray:
@@ -157,12 +174,12 @@ def _extent(label: IntArray, value: IntArray, count: int) -> FloatArray:
     return np.asarray(high - low + 1, np.float64)
 
 
-def _bloom(tall: FloatArray, wide: FloatArray) -> tuple[int, int]:
-    """Rows and columns to the next pixel along which charge runs over, told by the lobes' extents (n,); (0, 0): none.
+def _bloom(longer: FloatArray) -> tuple[int, int]:
+    """Rows and columns to the next pixel along which charge runs over; (0, 0): none. ``longer`` (n,): tall less wide.
 
     An overflowing pixel fills the next along its column (or row) until one takes what is left.
     """
-    longer = tall - wide
-    if len(tall) == 0 or abs(longer.mean()) < BLOOM_PX or np.abs(longer).max() < BLOOM_LEAST_PX:
+    mean = float(longer.mean())
+    if abs(mean) < BLOOM_PX or float(np.abs(longer).max()) < BLOOM_LEAST_PX:
         return 0, 0
-    return (1, 0) if longer.mean() > 0 else (0, 1)
+    return (1, 0) if mean > 0 else (0, 1)
