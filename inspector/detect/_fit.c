@@ -46,12 +46,23 @@ static void cut(const Image *im, const Rules *u, Work *w, i64 i, const i64 *cent
     }
 }
 
-/* The Gaussian of `t` at (x, y): value, and Sigma^-1 d in ux, uy. */
-static inline double gaussian(const double *t, double x, double y, double *ux, double *uy) {
-    double det = t[SXX] * t[SYY] - t[SXY] * t[SXY], ex = x - t[X], ey = y - t[Y];
-    *ux = (t[SYY] * ex - t[SXY] * ey) / det, *uy = (t[SXX] * ey - t[SXY] * ex) / det;
-    double e = t[LOG_PEAK] - 0.5 * (*ux * ex + *uy * ey);
-    return exp(e < 40 ? e : 40);
+/* A spot's Gaussian, ready to be evaluated: centre, log of the peak, inverse blur covariance. */
+typedef struct { double x, y, log_peak, xx, xy, yy; } Gaussian;
+
+static Gaussian ready(const double *t, double x, double y) {
+    double det = t[SXX] * t[SYY] - t[SXY] * t[SXY];
+    Gaussian g = {t[X] + x, t[Y] + y, t[LOG_PEAK], t[SYY] / det, -t[SXY] / det, t[SXX] / det};
+    return g;
+}
+
+enum { DARK = -12 };      /* a light of exp(-12) DN is none */
+
+/* Its value at (x, y), and Sigma^-1 d in ux, uy. */
+static inline double gaussian(const Gaussian *g, double x, double y, double *ux, double *uy) {
+    double ex = x - g->x, ey = y - g->y;
+    *ux = g->xx * ex + g->xy * ey, *uy = g->xy * ex + g->yy * ey;
+    double e = g->log_peak - 0.5 * (*ux * ex + *uy * ey);
+    return e < DARK ? 0 : exp(e < 40 ? e : 40);
 }
 
 static inline void derivatives(double spot, double ux, double uy, double *d) {
@@ -62,6 +73,11 @@ static inline void derivatives(double spot, double ux, double uy, double *d) {
 /* Residuals and derivatives (p, 9) of one spot's window, its neighbours' light subtracted. */
 static void linearise(const Work *w, i64 i, const double *theta, const i64 *centre) {
     const double *t = theta + i * PARAMETERS;
+    Gaussian own = ready(t, 0, 0), other[w->neighbours[i] + 1];
+    for (i64 m = 0; m < w->neighbours[i]; m++) {
+        i64 j = w->neighbour[i * w->n + m];
+        other[m] = ready(theta + j * PARAMETERS, (double)(centre[2 * j] - centre[2 * i]), (double)(centre[2 * j + 1] - centre[2 * i + 1]));
+    }
     for (i64 k = 0; k < w->p; k++) {
         i64 at = i * w->p + k;
         double *d = w->derivative + at * PARAMETERS, ux, uy, x = w->dx[k], y = w->dy[k];
@@ -69,13 +85,9 @@ static void linearise(const Work *w, i64 i, const double *theta, const i64 *cent
             w->residual[at] = 0;
             continue;
         }
-        double spot = gaussian(t, x, y, &ux, &uy);
+        double spot = gaussian(&own, x, y, &ux, &uy), vx, vy;
         double r = w->light[at] - spot - t[BACKGROUND] - t[SLOPE_X] * x - t[SLOPE_Y] * y;
-        for (i64 m = 0; m < w->neighbours[i]; m++) {
-            i64 j = w->neighbour[i * w->n + m];
-            double vx, vy;
-            r -= gaussian(theta + j * PARAMETERS, x + centre[2 * i] - centre[2 * j], y + centre[2 * i + 1] - centre[2 * j + 1], &vx, &vy);
-        }
+        for (i64 m = 0; m < w->neighbours[i]; m++) r -= gaussian(other + m, x, y, &vx, &vy);
         derivatives(spot, ux, uy, d);
         d[BACKGROUND] = 1, d[SLOPE_X] = x, d[SLOPE_Y] = y;
         if (w->clipped[at] && r < 0) {      /* a clipped pixel asks only for at least this much */
@@ -152,13 +164,13 @@ static int joint_step(const Work *w, const Rules *u, const double *theta, const 
         }
         for (i64 b = 0; b < size; b++) {
             i64 j = members[b];
-            double sx = (double)(centre[2 * i] - centre[2 * j]), sy = (double)(centre[2 * i + 1] - centre[2 * j + 1]);
             if (a == b) continue;
+            Gaussian g = ready(theta + j * PARAMETERS, (double)(centre[2 * j] - centre[2 * i]), (double)(centre[2 * j + 1] - centre[2 * i + 1]));
             for (i64 k = 0; k < w->p; k++) {
                 i64 at = i * w->p + k;
                 double d[SHAPE], ux, uy;
                 if (w->weight[at] == 0) continue;
-                double spot = gaussian(theta + j * PARAMETERS, w->dx[k] + sx, w->dy[k] + sy, &ux, &uy);
+                double spot = gaussian(&g, w->dx[k], w->dy[k], &ux, &uy);
                 derivatives(spot, ux, uy, d);
                 for (int x = 0; x < PARAMETERS; x++) {
                     double wd = w->weight[at] * w->derivative[at * PARAMETERS + x];
@@ -337,7 +349,6 @@ i64 kernel_fit(const Image *im, const Rules *u, i64 n, const double *spots, cons
             double moved = fit_round(&w, u, centre, tangle, expected, prior, theta, normal, gradient, step, members);
             if (moved < u->settled_px) break;
         }
-        for (i64 i = 0; i < n; i++) linearise(&w, i, theta, centre);
         for (i64 i = 0; i < n; i++) report(&w, i, centre + 2 * i, theta + i * Q, normal + i * Q * Q, found + i * FOUND);
     }
     free(memory), free(index), free(clipped);
