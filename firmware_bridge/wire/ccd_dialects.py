@@ -74,9 +74,9 @@ class Dialect:
     exposure_decimals: int
     rounding_us: float
     modes: Mapping[str, Mapping[str, int]]
-    clipped: Mapping[str, int] = MappingProxyType({})
+    clipped: Mapping[str, int]
+    unconfirmed: Mapping[str, str]
     baud: int = 9600
-    unconfirmed: Mapping[str, str] = MappingProxyType({})
 
     @property
     def names(self) -> frozenset[str]:
@@ -275,6 +275,7 @@ JAI = Dialect(
     modes=MappingProxyType(
         {"Off": MappingProxyType({"SM": 1, "TR": 0}), "Line0": MappingProxyType({"SM": 1, "TR": 1})}
     ),
+    clipped=MappingProxyType({}),
     unconfirmed=MappingProxyType(
         {
             "PE in microseconds": "CM-030, CM-140 and CM-200 count lines (2 to 511, 1052 or 1252): set us_per_count to "
