@@ -137,6 +137,16 @@ def simulate_module(context: typer.Context) -> None:
     module.main(context.args, context.command_path)
 
 
+@simulate_app.command(
+    "ccd", context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
+)
+def simulate_ccd(context: typer.Context) -> None:
+    """A CCD head on a serial line, with its frames in a pipe or a file; --help for its options."""
+    from firmware_bridge.simulators import ccd_head
+
+    ccd_head.main(context.args, context.command_path)
+
+
 @app.command()
 def run(
     config: Annotated[Path, typer.Option(help="Settings file, YAML.")],

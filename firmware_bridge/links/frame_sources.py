@@ -17,6 +17,9 @@ from firmware_bridge.errors import DeviceGone, NoReply, ReplyWrong
 from firmware_bridge.links.ports import Port, reason
 from firmware_bridge.wire.raw_frames import FrameReader, RawFormat, RawFrame
 
+PAUSE_S, ALIGN_S = 0.005, 1.0
+"""Frames without headers are told apart by the pause between two, seconds; a stream without one is given up."""
+
 LOOK_S = 0.002
 """Between two looks at a file: short against a frame's time, long against what a look costs."""
 
@@ -57,16 +60,26 @@ class StreamSource:
         """See the protocol. A pipe may have no writer yet: then no frame comes."""
         self.close()
         try:
-            self._port = Port(self._device, self.name, _open_stream(self.name))
+            self._port = Port(self._device, self.name, _Stream(self.name))
         except OSError as error:
             raise _cannot_open(self._device, self.name, error) from error
         self._restart()
+        if not self._form.header:
+            self._align()
 
     def close(self) -> None:
         """See the protocol."""
         if self._port:
             self._port.close()
         self._port = None
+
+    def _align(self) -> None:
+        """Let a frame that is half through pass: what comes after a pause begins a frame. Raises ReplyWrong."""
+        port, until_s = self._opened(), time.monotonic() + ALIGN_S
+        while port.read(PAUSE_S):
+            if time.monotonic() > until_s:
+                what = f"{self.name} never pauses between frames, so that none has a beginning"
+                raise ReplyWrong(self._device, what, "let its writer put headers before frames")
 
     def discard(self) -> None:
         """See the protocol. Of a frame that has come in part, the rest is thrown away when it comes."""
@@ -242,21 +255,17 @@ class RawSource:
 
 
 class _Stream:
-    """A file descriptor as a port wants it."""
+    """A pipe or device as a port wants it."""
 
-    def __init__(self, fd: int) -> None:
-        self._fd = fd
+    def __init__(self, path: str) -> None:
+        # Without O_NONBLOCK the open itself would wait until a pipe has a writer.
+        self._fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
 
     def fileno(self) -> int:
         return self._fd
 
     def close(self) -> None:
         os.close(self._fd)
-
-
-def _open_stream(path: str) -> _Stream:
-    # Without O_NONBLOCK the open itself would wait until a pipe has a writer.
-    return _Stream(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC))
 
 
 def _cannot_open(device: str, path: str, error: OSError) -> DeviceGone:
