@@ -78,6 +78,26 @@ class AnalogueModule(Protocol):
         ...
 
 
+class DigitalIO(Protocol):
+    """An I/O module's digital points, by channel from 0; True is on, as the module sees it."""
+
+    simulated: bool
+
+    def open(self) -> None: ...
+    def close(self) -> None: ...
+    def read_inputs(self) -> tuple[bool, ...]:
+        """Every digital input, read in one request; empty if the module has none."""
+        ...
+
+    def read_outputs(self) -> tuple[bool, ...]:
+        """Every digital output as it stands; empty if the module has none."""
+        ...
+
+    def write_output(self, channel: int, on: bool) -> None:
+        """Switch one output and read it back. Raises OutOfRange (nothing sent), WatchdogTripped, ReadBackWrong."""
+        ...
+
+
 class Lamp(Protocol):
     """A lamp with a 0-5 V level input."""
 
@@ -97,4 +117,15 @@ class Lamp(Protocol):
 
     def read_volts(self) -> float:
         """The level as the module reads it back, volts."""
+        ...
+
+    def keep_alive(self) -> None:
+        """Ask something of the module, so that its watchdog sees that the station lives; to be called while it waits.
+
+        Raises WatchdogTripped or ReadBackWrong if the level is no longer the one set.
+        """
+        ...
+
+    def burnt_hours(self) -> float:
+        """For how long the lamp has burnt in its life, hours, as far as this program lit it."""
         ...

@@ -5,14 +5,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from firmware_bridge.contracts import Camera, Lamp
+from firmware_bridge.contracts import Camera, DigitalIO, Lamp
 from firmware_bridge.drivers.lamp import FostecLamp
 from firmware_bridge.drivers.modbus_module import ModbusModule
 from firmware_bridge.drivers.replay_camera import ReplayCamera
+from firmware_bridge.drivers.serial_ccd_camera import Head, SerialCcdCamera
+from firmware_bridge.links.frame_sources import RawSource
 from firmware_bridge.links.modbus_master import ModbusMaster
-from firmware_bridge.links.ports import Port, open_serial, open_tcp
+from firmware_bridge.links.ports import Port, open_serial, open_tcp_unit
+from firmware_bridge.links.serial_line import CommandLine
 from firmware_bridge.links.simulated import open_simulated
-from firmware_bridge.settings import CameraSettings, LampSettings, ModuleSettings, SerialLink, TcpLink
+from firmware_bridge.links.v4l2 import V4l2Source
+from firmware_bridge.settings import (
+    CameraSettings,
+    LampSettings,
+    ModuleSettings,
+    SerialCcdCameraSettings,
+    SerialLink,
+    TcpLink,
+)
+from firmware_bridge.wire.module_setup import Safety
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,16 +33,32 @@ class Devices:
 
     camera: Camera
     lamp: Lamp
+    digital: DigitalIO | None = None
+    """The digital points of the lamp's module, usable while the lamp is open; None if there is no module."""
 
 
 def build(camera: CameraSettings, module: ModuleSettings, lamp: LampSettings) -> Devices:
     """The devices that the settings name. Touches nothing."""
-    return Devices(build_camera(camera), FostecLamp(build_module(module, [lamp.channel]), lamp))
+    io = build_module(module, [lamp.channel])
+    return Devices(build_camera(camera), FostecLamp(io, lamp), io)
 
 
 def build_camera(settings: CameraSettings) -> Camera:
     """The camera that the settings name."""
+    if isinstance(settings, SerialCcdCameraSettings):
+        return build_serial_ccd(settings)
     return ReplayCamera(settings.paths, rate_hz=settings.rate_hz, loop=settings.loop, deadline_s=settings.deadline_s)
+
+
+def build_serial_ccd(settings: SerialCcdCameraSettings, device: str = "camera") -> SerialCcdCamera:
+    """The CCD head that the settings name; ``device`` is what errors call it."""
+    frames, dialect = settings.frames, settings.dialect_row
+    head = Head(dialect, *settings.exposure_range_us, settings.us_per_count, settings.trigger)
+    line = CommandLine(
+        device, dialect, lambda: open_serial(device, settings.port, baud=settings.baud), settings.command_deadline_s
+    )
+    source = (V4l2Source if frames.kind == "v4l2" else RawSource)(device, frames.path, frames.form)
+    return SerialCcdCamera(head, line, source, deadline_s=settings.deadline_s, device=device)
 
 
 def build_module(settings: ModuleSettings, channels: Sequence[int] | None = None) -> ModbusModule:
@@ -40,8 +68,7 @@ def build_module(settings: ModuleSettings, channels: Sequence[int] | None = None
         settings.profile_row,
         build_master(settings),
         channels,
-        safe_v=settings.safe_v,
-        watchdog_s=settings.watchdog_s,
+        safety=Safety(settings.safe_v, settings.power_on_v, settings.watchdog_s),
         simulated=simulated,
     )
 
@@ -54,7 +81,7 @@ def build_master(settings: ModuleSettings, device: str = "module") -> ModbusMast
             case SerialLink(port=port, baud=baud, parity=parity, stop_bits=stop_bits):
                 return open_serial(device, port, baud=baud, parity=parity, stop_bits=stop_bits)
             case TcpLink(host=host, port=tcp_port):
-                return open_tcp(device, host, tcp_port, settings.deadline_s)
+                return open_tcp_unit(device, host, tcp_port, settings.unit, settings.deadline_s)
             case _:
                 return open_simulated(device, settings.profile_row, settings.unit)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -15,10 +15,13 @@ from pydantic import (
     ValidationInfo,
     WithJsonSchema,
     field_validator,
+    model_validator,
 )
 
 from firmware_bridge.wire import lamp_curve
+from firmware_bridge.wire.ccd_dialects import DIALECTS, Dialect
 from firmware_bridge.wire.profiles import PROFILES, Profile
+from firmware_bridge.wire.raw_frames import RawFormat
 
 
 class Strict(BaseModel):
@@ -87,6 +90,8 @@ class ModuleSettings(Strict):
     """Every request is answered or given up within this time, seconds."""
     safe_v: float | None = Field(None, ge=0, le=lamp_curve.CLAMP_V)
     """Level that the lamp's output takes when the module's watchdog trips, volts; null: as the module was set up."""
+    power_on_v: float | None = Field(None, ge=0, le=lamp_curve.CLAMP_V)
+    """Level that the lamp's output takes when the module's power comes back, volts; null: as the module was set up."""
     watchdog_s: PositiveFloat | None = None
     """The module goes to its safe level when nothing was asked of it for so long, seconds; null: as it was set up."""
 
@@ -110,6 +115,14 @@ class ModuleSettings(Strict):
         if profile and safe_v is not None and profile.safe_value is None:
             raise ValueError(f"{profile.name} takes its safe value from its maker's tool only; use null")
         return safe_v
+
+    @field_validator("power_on_v")
+    @classmethod
+    def _profile_has_power_on_value(cls, power_on_v: float | None, info: ValidationInfo) -> float | None:
+        profile = _profile_of(info)
+        if profile and power_on_v is not None and profile.power_on_value is None:
+            raise ValueError(f"{profile.name} takes its power-on value from its maker's tool only; use null")
+        return power_on_v
 
     @field_validator("watchdog_s")
     @classmethod
@@ -136,6 +149,12 @@ LevelVolts = Annotated[float, Field(ge=0, le=lamp_curve.CLAMP_V)]
 CurvePoint = Annotated[tuple[Percent, LevelVolts], Field(strict=False)]
 
 
+def _or_curve_file(schema: dict[str, Any]) -> None:
+    """A measured curve stands in a file of its own: say so in the JSON schema."""
+    pairs = {key: schema.pop(key) for key in ("type", "items")} | {"minItems": 2}
+    schema["anyOf"] = [pairs, {"type": "string", "description": "File of the measured curve"}]
+
+
 class LampSettings(Strict):
     """The lamp on the module's analogue output."""
 
@@ -143,10 +162,17 @@ class LampSettings(Strict):
     """Analogue output of the module that the lamp's level input is wired to, counted from 0."""
     tolerance_v: float = Field(0.05, gt=0, le=1)
     """How far the level read back may be from the level set, volts."""
-    curve: tuple[CurvePoint, ...] = Field(lamp_curve.LINEAR, strict=False, json_schema_extra={"minItems": 2})
-    """Intensity in percent against level in volts, as pairs [percent, volts], both rising."""
+    curve: tuple[CurvePoint, ...] = Field(lamp_curve.LINEAR, strict=False, json_schema_extra=_or_curve_file)
+    """Intensity in percent against level in volts, as pairs [percent, volts], both rising; in place, or the name of a
+    file with measured samples."""
     warm_up_s: float = Field(0.0, ge=0, le=3600)
     """Results count only after the lamp has been lit for so long, seconds."""
+    hours_file: Annotated[Path, Field(strict=False)] | None = None
+    """File in which the hours that the bulb has burnt are kept over restarts; null: they are not kept."""
+
+    def under(self, folder: Path) -> LampSettings:
+        """The same settings with relative paths taken from ``folder`` (the settings file's)."""
+        return self.model_copy(update={"hours_file": folder / self.hours_file}) if self.hours_file else self
 
     def volts(self, percent: float) -> float:
         """Level in volts for an intensity in percent, never above the lamp's 5.0 V."""
@@ -184,6 +210,11 @@ class ReplaySettings(Strict):
     deadline_s: PositiveFloat = Field(5.0, le=3600, validate_default=True)
     """A frame must come within this time, seconds."""
 
+    @property
+    def recordings(self) -> tuple[Path, ...]:
+        """What must be there before frames can be shown."""
+        return self.paths
+
     def under(self, folder: Path) -> ReplaySettings:
         """The same settings with relative paths taken from ``folder`` (the settings file's)."""
         return self.model_copy(update={"paths": tuple(folder / path for path in self.paths)})
@@ -197,7 +228,105 @@ class ReplaySettings(Strict):
         return deadline_s
 
 
-CameraSettings = Annotated[ReplaySettings, Field(discriminator="kind")]
+class _Frames(Strict):
+    """Shape of a grey frame."""
+
+    width_px: int = Field(640, ge=1, le=16384)
+    """Pixels in a row."""
+    height_px: int = Field(480, ge=1, le=16384)
+    """Rows."""
+    bits: Literal[8, 16] = 8
+    """Bits of a pixel; 10, 12 and 14 stand in 16."""
+
+
+class V4l2Frames(_Frames):
+    """Frames of a Video4Linux device, in grey."""
+
+    kind: Literal["v4l2"]
+    """A Video4Linux device."""
+    path: str = Field(min_length=1)
+    """The device's file; /dev/v4l/by-id/... keeps its name when it is replugged."""
+
+    @property
+    def form(self) -> RawFormat:
+        """What frames must be like."""
+        return RawFormat(self.width_px, self.height_px, self.bits)
+
+
+class RawFrames(_Frames):
+    """Raw frames, row after row from the top, 16 bits low byte first."""
+
+    kind: Literal["raw"]
+    """Raw frames."""
+    path: str = Field(min_length=1)
+    """A frame grabber's device file or a named pipe, from which frames come one after another, or a file (in shared
+    memory) that holds one and is written anew for each."""
+    header: bool = False
+    """True: each frame is preceded by 32 bytes with its number, shape, exposure and time; false: frames of a stream are
+    told apart by the pauses between them."""
+
+    @property
+    def form(self) -> RawFormat:
+        """What frames must be like."""
+        return RawFormat(self.width_px, self.height_px, self.bits, self.header)
+
+
+class SerialCcdCameraSettings(Strict):
+    """A CCD head that is set over a serial line; its frames come another way."""
+
+    kind: Literal["serial_ccd"]
+    """A CCD head on a serial line."""
+    dialect: Literal["dalsa", "jai"]
+    """What it speaks: DALSA's three-letter commands, or JAI's short ASCII commands."""
+    port: str = Field(min_length=1)
+    """The serial port's device file; /dev/serial/by-id/... keeps its name when the adapter is replugged."""
+    baud: Literal[9600, 19200, 38400, 57600, 115200] = 9600
+    """Bits per second; heads start at 9600."""
+    frames: Annotated[V4l2Frames | RawFrames, Field(discriminator="kind")]
+    """Where its frames come from."""
+    trigger: Literal["Off", "Line0"] = "Off"
+    """Off: the head runs freely, and a frame that begins after it is asked for is taken; Line0: a signal on the head's
+    own input begins each exposure."""
+    exposure_min_us: PositiveFloat | None = None
+    """Shortest exposure of the head, microseconds; null: 1."""
+    exposure_max_us: PositiveFloat | None = None
+    """Longest exposure of the head, microseconds; null: 1 s."""
+    us_per_count: PositiveFloat = 1.0
+    """Microseconds in one count of its exposure: 1, or a line's time for JAI heads that count lines."""
+    command_deadline_s: PositiveFloat = Field(0.5, le=10)
+    """Every command is answered or given up within this time, seconds."""
+    deadline_s: PositiveFloat = Field(5.0, le=3600)
+    """A frame must come within this time, seconds; longer than three exposures, if the head runs freely."""
+
+    @property
+    def dialect_row(self) -> Dialect:
+        """The dialect's row of the table."""
+        return DIALECTS[self.dialect]
+
+    @property
+    def exposure_range_us(self) -> tuple[float, float]:
+        """Shortest and longest exposure, microseconds."""
+        row = self.dialect_row
+        return self.exposure_min_us or row.exposure_min_us, self.exposure_max_us or row.exposure_max_us
+
+    @property
+    def recordings(self) -> tuple[Path, ...]:
+        """A live camera needs none."""
+        return ()
+
+    def under(self, folder: Path) -> SerialCcdCameraSettings:
+        """The same: devices have names of their own, whatever the folder."""
+        return self
+
+    @model_validator(mode="after")
+    def _range_is_one(self) -> Self:
+        low_us, high_us = self.exposure_range_us
+        if low_us >= high_us:
+            raise ValueError(f"exposure_max_us must be more than exposure_min_us, {low_us:g}")
+        return self
+
+
+CameraSettings = Annotated[ReplaySettings | SerialCcdCameraSettings, Field(discriminator="kind")]
 """One of the cameras, told apart by ``kind``."""
 
 

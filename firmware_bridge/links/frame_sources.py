@@ -230,9 +230,8 @@ class RawSource:
             is_file = stat.S_ISREG(os.stat(self.name).st_mode)
         except OSError as error:
             raise _cannot_open(self._device, self.name, error) from error
-        source = (FileSource if is_file else StreamSource)(self._device, self.name, self._form)
-        source.open()
-        self._source = source
+        self._source = (FileSource if is_file else StreamSource)(self._device, self.name, self._form)
+        self._source.open()
 
     def close(self) -> None:
         """See the protocol."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable
 
 from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.framer import FramerType
@@ -27,12 +28,14 @@ logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)
 class DeadlineClient(ModbusBaseSyncClient):
     """pymodbus' requests over an open port. ``received`` counts the bytes that came since the last request."""
 
-    def __init__(self, device: str, port: Port, *, rtu: bool, deadline_s: float) -> None:
+    def __init__(
+        self, device: str, port: Port, *, rtu: bool, deadline_s: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         # For pymodbus every port is a serial one: it would otherwise try to take down a transport that it has not.
         params = CommParams(comm_type=CommType.SERIAL, host=port.name, timeout_connect=deadline_s)
         framer = FramerType.RTU if rtu else FramerType.SOCKET
         super().__init__(framer, 0, params, self._whole_answer if rtu else None, None, None)
-        self._device, self._port, self._deadline_s = device, port, deadline_s
+        self._device, self._port, self._deadline_s, self._clock = device, port, deadline_s, clock
         self._until_s = 0.0
         self._unit = self._function = 0
         self.received = 0
@@ -43,7 +46,7 @@ class DeadlineClient(ModbusBaseSyncClient):
 
     def send(self, request: bytes, addr: tuple[str, int] | None = None) -> int:
         """Start a request: what came unasked is thrown away, since it answers nothing."""
-        self._until_s = time.monotonic() + self._deadline_s
+        self._until_s = self._clock() + self._deadline_s
         self.received = 0
         self._port.settle()
         self._port.write(request, self._deadline_s)
@@ -51,7 +54,7 @@ class DeadlineClient(ModbusBaseSyncClient):
 
     def recv(self, size: int | None) -> bytes:
         """What comes before the deadline; empty after it, which pymodbus takes for a time-out."""
-        data = self._port.read(self._until_s - time.monotonic())
+        data = self._port.read(self._until_s - self._clock())
         self.received += len(data)
         if self.received > MAX_REPLY_BYTES:
             raise ReplyWrong(self._device, f"{self._port.name} babbles", "check termination, A/B wiring and baud rate")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from firmware_bridge.errors import DeviceGone, NoReply, Refused, ReplyWrong
@@ -33,23 +34,41 @@ class ModbusMaster:
     """Speaks to one unit over one port, which ``open_port`` opens. ``rtu``: RTU frames; else Modbus TCP.
 
     Requests raise DeviceGone (port missing or closed), NoReply, ReplyWrong (damaged, another unit's or another
-    request's) or Refused (a Modbus exception), all within ``deadline_s`` of the call. After the first two kinds,
-    close and open again.
+    request's) or Refused (a Modbus exception), all within ``deadline_s`` of the call on ``clock``. After the first
+    two kinds, close and open again.
     """
 
-    def __init__(self, device: str, unit: int, open_port: PortOpener, *, rtu: bool, deadline_s: float) -> None:
+    def __init__(
+        self,
+        device: str,
+        unit: int,
+        open_port: PortOpener,
+        *,
+        rtu: bool,
+        deadline_s: float,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._device, self._unit, self._open_port = device, unit, open_port
-        self._rtu, self._deadline_s = rtu, deadline_s
+        self._rtu, self._deadline_s, self._clock = rtu, deadline_s, clock
         self._port: Port | None = None
         self._client: DeadlineClient | None = None
+        self._owed_until_s = clock()
 
     def open(self) -> None:
-        """Open the port; an open one is closed first. Raises DeviceGone."""
+        """Open the port; an open one is closed first. Raises DeviceGone.
+
+        An RTU answer does not say which request it answers: one that is still owed since the last time-out is
+        waited out for ``deadline_s`` more, or a late "4 V" would be taken for what the module reads now.
+        """
         from firmware_bridge.links.modbus_client import DeadlineClient  # pymodbus: 0.13 s that others need not wait
 
         self.close()
         self._port = self._open_port()
-        self._client = DeadlineClient(self._device, self._port, rtu=self._rtu, deadline_s=self._deadline_s)
+        self._client = DeadlineClient(
+            self._device, self._port, rtu=self._rtu, deadline_s=self._deadline_s, clock=self._clock
+        )
+        if self._rtu:
+            self._port.discard(self._owed_until_s - self._clock())
 
     def close(self) -> None:
         """Close the port; may be called twice, never raises."""
@@ -100,6 +119,7 @@ class ModbusMaster:
         except ModbusException as error:
             if self._client.received:
                 raise self._wrong(f"{self._client.received} bytes that are no answer to {what}") from error
+            self._owed_until_s = self._clock() + self._deadline_s
             raise NoReply(
                 self._device,
                 f"no answer in {self._deadline_s:g} s, {what} of unit {self._unit}",

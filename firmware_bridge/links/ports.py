@@ -23,6 +23,8 @@ READ_BYTES = 4096
 SETTLE_READS = 16
 """A line that after so many looks still has something to say is never quiet."""
 
+_IN_USE = "another program has it open: end that first (the service: systemctl stop inspector)"
+
 QUIET_CHARACTERS, CHARACTER_BITS, QUIET_LEAST_S = 3.5, 11, 0.00175
 """The pause between RTU frames (MODBUS over Serial Line V1.02, 2.5.1.1); a module may miss a request before its end."""
 
@@ -105,6 +107,12 @@ class Port:
             if not self.read(self._heard_s + self._quiet_s - time.monotonic()):
                 break
 
+    def discard(self, for_s: float) -> None:
+        """Throw away whatever comes within this time; nothing to do if it is not above 0. Raises DeviceGone."""
+        until_s = time.monotonic() + for_s
+        while (left_s := until_s - time.monotonic()) > 0:
+            self.read(left_s)
+
     def close(self) -> None:
         """Close; may be called twice, never raises. What nobody took is dropped: the kernel would wait for it."""
         if self._fd < 0:
@@ -147,6 +155,31 @@ def open_serial(
     return Port(device, port, opened, quiet_s=quiet_s, after_close=after_close)
 
 
+def open_tcp_unit(device: str, host: str, port: int, unit: int, timeout_s: float) -> Port:
+    """A TCP connection to one Modbus unit, locked exclusively on this machine. Raises DeviceGone."""
+    held = _claim(device, f"{host}:{port} unit {unit}")
+    try:
+        return open_tcp(device, host, port, timeout_s, after_close=held.close)
+    except DeviceGone:
+        held.close()
+        raise
+
+
+def _claim(device: str, name: str) -> socket.socket:
+    """Make ``name`` this process' own until the socket returned is closed, as flock does for a serial line.
+
+    A socket in Linux' abstract namespace: it is no file, and goes with its process however that ends. Raises
+    DeviceGone if another has it.
+    """
+    held = socket.socket(socket.AF_UNIX)
+    try:
+        held.bind(f"\0firmware_bridge/{name}")
+    except OSError as error:
+        held.close()
+        raise DeviceGone(device, f"cannot open {name}: {reason(error)}", _IN_USE) from error
+    return held
+
+
 def open_tcp(device: str, host: str, port: int, timeout_s: float, after_close: Callable[[], None] = _nothing) -> Port:
     """A TCP connection. Raises DeviceGone."""
     name = f"{host}:{port}"
@@ -172,5 +205,5 @@ def _serial_remedy(error: BaseException) -> str:
     if number == errno.EACCES:
         return "let the service's user open it (group dialout)"
     if number in (errno.EAGAIN, errno.EBUSY):
-        return "another program has it open: end that first"
+        return _IN_USE
     return "check the port's name and the adapter"

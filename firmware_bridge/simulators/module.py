@@ -6,15 +6,13 @@ Its first line on standard output is the address it serves: the pseudo-terminal'
 from __future__ import annotations
 
 import argparse
-import signal
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
 
 from firmware_bridge.simulators.module_server import ModuleServer, WireFault
 from firmware_bridge.simulators.module_state import SimulatedModule
+from firmware_bridge.simulators.server import run as server_run
 from firmware_bridge.wire.profiles import PROFILES
 
 
@@ -26,30 +24,29 @@ def run(
     fault: WireFault = WireFault.NONE,
     fault_after: int = 0,
     fault_count: int | None = None,
+    ascii: bool = False,
+    stuck: bool = False,
+    tripped: bool = False,
     with_parent: bool = False,
 ) -> None:
     """Print the address and serve until SIGTERM or SIGINT, or (``with_parent``) until standard input is closed.
 
     A profile that has no serial line is served over TCP. Raises FileExistsError if ``symlink`` is a file's name,
-    ValueError if there is nothing for it to point to.
+    ValueError for what this profile has not.
     """
     row = PROFILES[profile]
-    if symlink and not row.has_serial:
-        raise ValueError(f"--symlink: {profile} has no serial line to name; it is served over TCP")
+    for option, asked in (("--symlink", symlink), ("--ascii", ascii)):
+        if asked and not row.has_serial:
+            raise ValueError(f"{option}: {profile} has no serial line; it is served over TCP")
+    if tripped and row.watchdog is None:
+        raise ValueError(f"--tripped: {profile} has no watchdog")
     module = SimulatedModule(row, time.monotonic)
+    module.ascii, module.stuck = ascii, stuck
+    if tripped:
+        module.trip()
     server = ModuleServer(module, unit, tcp=not row.has_serial, symlink=symlink)
     server.fault, server.fault_after, server.fault_count = fault, fault_after, fault_count
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, _end)
-    try:
-        print(server.address, flush=True)
-        server.serve(sys.stdin.fileno() if with_parent else None)
-    finally:
-        server.stop()
-
-
-def _end(number: int, frame: FrameType | None) -> None:
-    raise SystemExit(0)
+    server_run(server, with_parent=with_parent)
 
 
 def main(arguments: Sequence[str] | None = None, program: str | None = None) -> None:
@@ -64,6 +61,9 @@ def main(arguments: Sequence[str] | None = None, program: str | None = None) -> 
     parser.add_argument("--fault", choices=faults, default=WireFault.NONE.value, help="what goes wrong with answers")
     parser.add_argument("--fault-after", type=int, metavar="N", default=0, help="only after so many right answers")
     parser.add_argument("--fault-count", type=int, metavar="N", help="only for so many answers; default: for ever")
+    parser.add_argument("--ascii", action="store_true", help="it speaks its maker's own protocol, and no Modbus")
+    parser.add_argument("--stuck", action="store_true", help="outputs take levels and stay where they are")
+    parser.add_argument("--tripped", action="store_true", help="its watchdog has tripped")
     parser.add_argument("--with-parent", action="store_true", help="end when standard input is closed")
     options = vars(parser.parse_args(arguments))
     try:

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Sequence
 
 from firmware_bridge.wire.modbus import IllegalAddress, IllegalValue, Table
+from firmware_bridge.wire.module_setup import clear_points, trip_points
 from firmware_bridge.wire.profiles import Point, Profile, Watchdog
 
 
@@ -14,16 +15,20 @@ class SimulatedModule:
 
     Levels outside the span are refused (exception 3). After its watchdog trips it stands at its safe values and
     takes writes to its outputs without doing anything, until the trip is cleared. ``stuck``: outputs do so always,
-    as with a dead converter. ``clock`` gives seconds. All of it may be called from any thread.
+    as with a dead converter. ``ascii``: it speaks its maker's own protocol and answers no Modbus. ``clock`` gives
+    seconds. All of it may be called from any thread.
     """
 
     def __init__(self, profile: Profile, clock: Callable[[], float]) -> None:
         self.profile, self._clock = profile, clock
-        self.stuck = False
+        self.stuck = self.ascii = False
         self._lock = threading.RLock()
         self._asked_s = clock()
         self._outputs = {profile.output_of(channel): channel for channel in range(profile.channels)}
-        self._clears = _clears(profile)
+        self._digital_outputs = frozenset(profile.digital_outputs.points if profile.digital_outputs else ())
+        every = range(profile.channels)
+        self._trips = trip_points(profile, every)
+        self._clears = dict(zip(clear_points(profile, every), self._trips, strict=False))
         self._values: dict[Point, int] = dict.fromkeys(self._clears, 0)
         self._writable: set[Point] = set(self._clears)
         self._lay_out()
@@ -35,12 +40,21 @@ class SimulatedModule:
             return self.profile.span.volts(self._values[self.profile.output_of(channel)])
 
     def trip(self) -> None:
-        """Do what the watchdog does when the host has gone."""
+        """Do what the watchdog does when the host has gone: safe levels, and digital outputs off."""
         with self._lock:
-            for point in _tripped_points(self.profile):
+            for point in self._trips:
                 self._values[point] = 1
-            for channel in range(self.profile.channels):
-                self._stand_at(channel, self._safe_counts(channel))
+            self._all_at(self.profile.safe_value)
+
+    def power_cycle(self) -> None:
+        """Power off and on: power-on levels, or safe ones if a trip survives it; what is set up stays set up."""
+        with self._lock:
+            self._asked_s = self._clock()
+            if self.profile.watchdog and self.profile.watchdog.survives_power and self._tripped():
+                self._all_at(self.profile.safe_value)
+                return
+            self._values.update(dict.fromkeys(self._trips, 0))
+            self._all_at(self.profile.power_on_value)
 
     def set_value(self, point: Point, value: int) -> None:
         """Change a point from inside: a digital input, or what a technician left another way."""
@@ -89,25 +103,40 @@ class SimulatedModule:
             raise IllegalValue
 
     def _take(self, point: Point, value: int) -> None:
-        if point in self._outputs:
-            if not (self.stuck or any(self._values[tripped] for tripped in _tripped_points(self.profile))):
-                self._stand_at(self._outputs[point], value)
-        elif point in self._clears:
+        if point in self._clears:
             if self.profile.watchdog and value == self.profile.watchdog.clear_value:
                 self._values[self._clears[point]] = 0
+        elif point in self._outputs or point in self._digital_outputs:
+            self._take_output(point, value)
         else:
             self._values[point] = value
+
+    def _take_output(self, point: Point, value: int) -> None:
+        watchdog = self.profile.watchdog
+        if watchdog and watchdog.write_clears and self._values[watchdog.write_clears]:
+            self._values.update(dict.fromkeys(self._trips, 0))
+        if self.stuck or self._tripped():
+            return
+        if point in self._outputs:
+            self._stand_at(self._outputs[point], value)
+        else:
+            self._values[point] = value
+
+    def _tripped(self) -> bool:
+        return any(self._values[point] for point in self._trips)
+
+    def _all_at(self, first: Point | None) -> None:
+        """Every output at its level kept from ``first`` on, or at 0 V; digital ones off."""
+        for channel in range(self.profile.channels):
+            kept = self._values[first.plus(channel)] if first else self.profile.span.counts(0.0)
+            self._stand_at(channel, kept)
+        self._values.update(dict.fromkeys(self._digital_outputs, 0))
 
     def _stand_at(self, channel: int, counts: int) -> None:
         self._values[self.profile.output_of(channel)] = counts
         first = self.profile.read_back_of(channel)
         for offset, word in enumerate(self.profile.encode_read_back(counts)):
             self._values[first.plus(offset)] = word
-
-    def _safe_counts(self, channel: int) -> int:
-        if self.profile.safe_value is None:
-            return self.profile.span.counts(0.0)
-        return self._values[self.profile.safe_value.plus(channel)]
 
     def _watch(self, *, asked: bool) -> None:
         """Trip if the host was silent for too long; ``asked``: a request has come, which the watchdog waits for."""
@@ -131,14 +160,14 @@ class SimulatedModule:
                 self._add(setup.point.plus(channel) if setup.per_channel else setup.point, setup.value, setup.writable)
             for level in (profile.safe_value, profile.power_on_value):
                 self._add(level and level.plus(channel), zero, True)
-        for tripped in _tripped_points(profile):
+        for tripped in self._trips:
             self._values.setdefault(tripped, 0)
         if watchdog := profile.watchdog:
-            for point in (watchdog.enable, watchdog.any_request_feeds, watchdog.timeout):
+            for point in (watchdog.enable, watchdog.write_clears, watchdog.timeout):
                 self._add(point, 0, True)
-        for digital, writable in ((profile.digital_inputs, False), (profile.digital_outputs, True)):
-            for offset in range(digital[1] if digital else 0):
-                self._add(digital and digital[0].plus(offset), 0, writable)
+        for bank, writable in ((profile.digital_inputs, False), (profile.digital_outputs, True)):
+            for point in bank.points if bank else ():
+                self._add(point, 0, writable)
         self._writable.update(self._outputs)
 
     def _add(self, point: Point | None, value: int, writable: bool) -> None:
@@ -146,17 +175,3 @@ class SimulatedModule:
             self._values[point] = value
             if writable:
                 self._writable.add(point)
-
-
-def _tripped_points(profile: Profile) -> list[Point]:
-    """Where a trip can be read; one for the module, or one for each channel."""
-    watchdog = profile.watchdog
-    if watchdog is None:
-        return []
-    return [watchdog.tripped.plus(channel) for channel in range(profile.channels if watchdog.per_channel else 1)]
-
-
-def _clears(profile: Profile) -> dict[Point, Point]:
-    """Where a trip is cleared, and which point it clears."""
-    clear = profile.watchdog and profile.watchdog.clear
-    return {clear.plus(offset): tripped for offset, tripped in enumerate(_tripped_points(profile))} if clear else {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Sequence
+from itertools import pairwise
 
 CLAMP_V = 5.0
 """The lamp's level input takes 0-5 V (Fostec DCR II); nothing above is ever written, whatever a module can put out."""
@@ -20,6 +21,44 @@ def volts(curve: Sequence[tuple[float, float]], percent: float) -> float:
 def percent(curve: Sequence[tuple[float, float]], level_v: float) -> float:
     """Intensity in percent at a level in volts; ends of the curve are held beyond it."""
     return _interpolate([(level, share) for share, level in curve], level_v)
+
+
+def from_samples(samples: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+    """The curve of measured (level in volts, light): percent of the light at the highest level, against volts.
+
+    ``light`` is in any unit that is proportional to light, with its value at 0 V taken off. It begins at (0 %, 0 V);
+    levels below which a halogen lamp gives nothing drop out, since light must rise from pair to pair. Raises
+    ValueError that says why samples make no curve.
+    """
+    ordered = sorted(samples)
+    if len(ordered) < 2 or ordered[0][0] != 0.0:
+        raise ValueError("at least two samples, of which one at 0 V")
+    if any(higher == lower for (lower, _), (higher, _) in pairwise(ordered)):
+        raise ValueError("each level only once")
+    dark, brightest = ordered[0][1], ordered[-1][1]
+    if not brightest > dark:
+        raise ValueError("the highest level gives no more light than 0 V: check lamp and exposure")
+    return _rising([(100.0 * (light - dark) / (brightest - dark), level_v) for level_v, light in ordered])
+
+
+LEAST_RISE_PERCENT = 0.1
+"""Less than this from sample to sample is noise: near 0 V a halogen lamp gives no light, and percent must rise."""
+
+MOST_FALL_PERCENT = 1.0
+"""A lamp that falls by more than this with a rising level was not steady: DCR II's own stability."""
+
+
+def _rising(points: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+    """The points without those that rise by less than noise; the last one stays. Raises ValueError if light falls."""
+    kept = [points[0]]
+    for share, level_v in points[1:]:
+        if share < kept[-1][0] - MOST_FALL_PERCENT or share > 100.0 + MOST_FALL_PERCENT:
+            raise ValueError(f"light is not steady or is clipped around {level_v:g} V: warm the lamp up, expose less")
+        if share >= kept[-1][0] + LEAST_RISE_PERCENT and share < 100.0:
+            kept.append((share, level_v))
+    if 100.0 - kept[-1][0] < LEAST_RISE_PERCENT and len(kept) > 1:
+        kept.pop()
+    return (*kept, points[-1])
 
 
 def _interpolate(points: Sequence[tuple[float, float]], x: float) -> float:

@@ -39,6 +39,19 @@ class Point:
 
 
 @dataclass(frozen=True, slots=True)
+class Bank:
+    """Digital points that follow on from ``first``; 1 is on."""
+
+    first: Point
+    count: int
+
+    @property
+    def points(self) -> tuple[Point, ...]:
+        """Every point, by its channel."""
+        return tuple(self.first.plus(channel) for channel in range(self.count))
+
+
+@dataclass(frozen=True, slots=True)
 class Span:
     """Output volts against counts, a straight line from (counts_low, low_v) to (counts_high, high_v)."""
 
@@ -104,12 +117,15 @@ class Watchdog:
     clear: Point | None = None
     clear_value: int = 1
     enable: Point | None = None
-    any_request_feeds: Point | None = None
+    write_clears: Point | None = None
+    """Holds 0: a trip lasts until it is cleared; 1: the next write to an output clears it, and nobody notices."""
     timeout: Point | None = None
     timeout_s_per_count: float = 0.1
     timeout_counts_max: int = 255
     per_channel: bool = False
     """True: ``tripped`` and ``clear`` are the first channel's, the others' follow on."""
+    survives_power: bool = False
+    """True: a trip is still there after the module's power was off and on again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,10 +146,10 @@ class Profile:
     power_on_value: Point | None = None
     """First channel's level at power-on, in counts; the others' follow on."""
     watchdog: Watchdog | None = None
-    digital_inputs: tuple[Point, int] | None = None
-    """First digital input and how many follow on."""
-    digital_outputs: tuple[Point, int] | None = None
-    """First digital output and how many follow on."""
+    digital_inputs: Bank | None = None
+    digital_outputs: Bank | None = None
+    if_silent: str = ""
+    """Why a module that is wired right may not answer, and what to do; for errors."""
     unconfirmed: tuple[str, ...] = ()
     """What no manual at hand confirms, and what it rests on."""
 
@@ -174,6 +190,11 @@ def holding(address: int) -> Point:
     return Point(Table.HOLDING_REGISTERS, address)
 
 
+_ADAM_SHIPS_IN_ASCII = (
+    "an ADAM-4000 leaves its maker speaking ASCII: set protocol Modbus with Advantech's utility (switch on INIT, power "
+    "off and on, set, switch back, power off and on)"
+)
+
 _ROWS = (
     Profile(
         name="adam-4024",
@@ -185,7 +206,8 @@ _ROWS = (
         read_back=manual(40001),
         setup=(Setup(manual(40201), 0x32, "type code 0x32: -10 to 10 V", writable=False, per_channel=True),),
         watchdog=Watchdog(tripped=manual(40216)),
-        digital_inputs=(manual(1), 4),
+        digital_inputs=Bank(manual(1), 4),
+        if_silent=_ADAM_SHIPS_IN_ASCII,
         unconfirmed=(
             "counts 0-4095 over -10 to 10 V: by analogy with the maker's other 12-bit outputs",
             "40215 (safety enable) and 40216 (flag) are read-only in the ADAM-4000 manual, appendix G: "
@@ -202,6 +224,7 @@ _ROWS = (
         read_back=manual(40001),
         power_on_value=manual(40221),
         watchdog=Watchdog(tripped=manual(40216)),
+        if_silent=_ADAM_SHIPS_IN_ASCII,
         unconfirmed=("the whole row: from integrators' notes; span 0-10 V is the factory's type code",),
     ),
     Profile(
@@ -219,12 +242,17 @@ _ROWS = (
             tripped=manual(270),
             clear=manual(270),
             enable=manual(261),
-            any_request_feeds=manual(260),
+            write_clears=manual(260),
             timeout=manual(40489),
+            survives_power=True,
         ),
-        digital_inputs=(manual(33), 1),
-        digital_outputs=(manual(1), 1),
-        unconfirmed=("engineering units of 1 mV on the 0-10 V range: by analogy with the maker's M-7024",),
+        digital_inputs=Bank(manual(33), 1),
+        digital_outputs=Bank(manual(1), 1),
+        if_silent="it may be set to the DCON protocol: choose Modbus RTU with ICP DAS' DCON Utility (coil 257 is 1)",
+        unconfirmed=(
+            "engineering units of 1 mV on the 0-10 V range: by analogy with the maker's M-7024",
+            "every request feeds the watchdog: by analogy with the maker's M-7000 over Modbus",
+        ),
     ),
     Profile(
         name="iologik-r1241",
