@@ -79,7 +79,12 @@ def lamp(
 
 
 def stations() -> dict[str, Station]:
-    """Stations of many shapes, by name."""
+    """Stations of many shapes, by name.
+
+    In all of them the lamp stands some 25 degrees or more nearer to the panel's normal than the camera. Where the two
+    come closer, the panel's own reflection of the lamp comes near, mirror spots smear along the seed's outline, and a
+    third spot appears between the two: lamp to panel to seed.
+    """
     near = camera(65, 267, 0.27, 8.0, roll_deg=-90, kappa1_per_mm2=0.0085)
     upright = camera(60, 400, 0.15, 16.0, kappa1_per_mm2=-0.0004)
     zoomed = camera(70, 300, 0.06, 25.0, roll_deg=37, azimuth_deg=205)
@@ -92,8 +97,8 @@ def stations() -> dict[str, Station]:
         "near": Station(near, lamp(near, 30)),
         "upright": Station(upright, lamp(upright, 20, swing_deg=25)),
         "zoomed": Station(zoomed, lamp(zoomed, 40, swing_deg=-15, sigma_deg=1.2)),
-        "large": Station(large, lamp(large, 35, swing_deg=-30, sigma_deg=2.5)),
-        "steep": Station(steep, lamp(steep, 45, swing_deg=10)),
+        "large": Station(large, lamp(large, 22, swing_deg=-30, sigma_deg=2.5)),
+        "steep": Station(steep, lamp(steep, 15, swing_deg=10)),
         "flat": Station(flat, lamp(flat, 15, swing_deg=30)),
         "wide": Station(wide, lamp(wide, 25)),
         "lamp_near": Station(upright, lamp(upright, 30, swing_deg=-10, distance_mm=250)),
@@ -153,7 +158,7 @@ def _mirror_peak(seed: Seed, scene: Scene) -> float:
     glint = sphere_glint_mm(seed, scene.lamp, eye)
     to_eye, to_lamp = unit(eye - glint), scene.lamp.toward(glint[None])[0]
     cosines = np.array([-to_eye[2], np.sqrt((1 + to_eye @ to_lamp) / 2)])
-    radius_px = seed.radius_mm / _mm_per_px(scene.camera, glint)
+    radius_px = seed.radius_mm / mm_per_px(scene.camera, glint)
     sigma_rad = np.radians(scene.lamp.sigma_deg)
     light = np.prod(fresnel(cosines, scene.paint)) * radius_px**2 / 4 * 2 * np.pi * sigma_rad**2 * scene.lamp.radiance
     spread = scene.lens.psf_sigma_px**2 + 1 / 12 + (radius_px * sigma_rad / 2) ** 2
@@ -194,9 +199,9 @@ def _seeds(kind: str, random: np.random.Generator, station: Station) -> tuple[Se
 
 def _seed(kind: str, random: np.random.Generator, station: Station, at_px: FloatArray) -> Seed:
     x, y, _ = at = _panel_point(station.camera, at_px)
-    mm_per_px = _mm_per_px(station.camera, at)
+    pixel_mm = mm_per_px(station.camera, at)
     highest = {"A": 27.0, "B": 11.0, "D": 14.0, "F": 10.0}[kind]
-    height = mm_per_px * float(np.exp(random.uniform(np.log(3.6), np.log(highest))))
+    height = pixel_mm * float(np.exp(random.uniform(np.log(3.6), np.log(highest))))
     sunk = float(random.uniform(0.3, 0.98)) if kind == "D" or (kind == "B" and random.random() < 0.15) else 1.0
     radius = height / (1 + sunk)
     fillet = radius * float(random.uniform(0.8, 1.8)) if kind == "F" else None
@@ -219,7 +224,7 @@ def _both_spots_in_frame(seed: Seed, station: Station) -> bool:
     return bool(np.all((seen > 8) & (seen < size - 9)))
 
 
-def _mm_per_px(seen_by: Camera, at_mm: FloatArray) -> float:
+def mm_per_px(seen_by: Camera, at_mm: FloatArray) -> float:
     """A pixel's width across the line of sight at a point (3,)."""
     return float(np.linalg.norm(seen_by.centre_mm - at_mm)) * seen_by.dx_mm / seen_by.f_mm
 
@@ -233,8 +238,8 @@ def _dust(random: np.random.Generator, station: Station) -> tuple[Dust, ...]:
         return ()
     at_px = random.uniform(0.1, 0.9, 2) * [station.camera.width_px, station.camera.height_px]
     x, y, _ = at = _panel_point(station.camera, at_px)
-    mm_per_px = _mm_per_px(station.camera, at)
-    radius = mm_per_px * float(random.uniform(0.4, 0.9))
+    pixel_mm = mm_per_px(station.camera, at)
+    radius = pixel_mm * float(random.uniform(0.4, 0.9))
     return (Dust("ball" if random.random() < 0.3 else "flake", float(x), float(y), radius),)
 
 

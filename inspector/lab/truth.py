@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from inspector.lab.scene import Dust, Lamp, Scene, Seed, mirrored, pool_glint_mm, sphere_glint_mm, unit
+from inspector.lab import records
+from inspector.lab.scene import Scene, Seed, mirrored, pool_glint_mm, sphere_glint_mm, unit
 from inspector.lab.trace import Tracer
 from inspector.model import FloatArray
 from inspector.optics import Camera
@@ -19,81 +20,9 @@ def of(scene: Scene, grey: FloatArray) -> dict[str, Any]:
     """``scene`` and ``defects`` as plain values. ``grey`` (height, width): the frame without noise or clipping."""
     tracer = Tracer(scene)
     return {
-        "scene": scene_record(scene),
+        "scene": records.write(scene),
         "defects": [_defect(i, seed, scene, tracer, grey) for i, seed in enumerate(scene.seeds)],
     }
-
-
-def scene_record(scene: Scene) -> dict[str, Any]:
-    """The scene as plain values."""
-    lens, sensor = scene.lens, scene.sensor
-    return {
-        "camera": _camera(scene.camera),
-        "alpha_deg": float(np.degrees(np.arccos(scene.lamp.direction[2]))),
-        "beta_nominal_deg": scene.camera.view_angle_deg,
-        "beta_axis_deg": scene.camera.view_angle_deg,
-        "light": _lamp(scene.lamp),
-        "paint": {"spec": scene.paint.spec, "diff": scene.paint.diffuse},
-        "seeds": [_seed(s) for s in scene.seeds],
-        "dust": [_dust(d) for d in scene.dust],
-        "optics": {
-            "fnum": lens.f_number,
-            "psf_sigma": lens.psf_sigma_px,
-            "halo": lens.halo,
-            "halo_sigma": lens.halo_sigma_px,
-        },
-        "sensor": {
-            "tau": sensor.exposure,
-            "E_sat": sensor.e_saturation,
-            "gamma": sensor.gamma,
-            "full_well": sensor.full_well_e,
-            "read_e": sensor.read_noise_e,
-            "offset_dn": sensor.offset_dn,
-            "prnu": sensor.prnu,
-            "bloom": sensor.bloom,
-            "hot": [list(h) for h in sensor.hot],
-            "bits": sensor.bits,
-            "seed": sensor.seed,
-        },
-    }
-
-
-def _camera(camera: Camera) -> dict[str, Any]:
-    return {
-        "f_mm": camera.f_mm,
-        "kappa1_per_mm2": camera.kappa1_per_mm2,
-        "R": camera.rotation.tolist(),
-        "T_mm": camera.translation_mm.tolist(),
-        "dx_mm": camera.dx_mm,
-        "dy_mm": camera.dy_mm,
-        "Cx": camera.cx_px,
-        "Cy": camera.cy_px,
-        "sx": camera.sx,
-        "width": camera.width_px,
-        "height": camera.height_px,
-        "centre_world_mm": camera.centre_mm.tolist(),
-    }
-
-
-def _lamp(lamp: Lamp) -> dict[str, Any]:
-    record: dict[str, Any] = {
-        "dir": lamp.direction.tolist(),
-        "sigma_deg": lamp.sigma_deg,
-        "cutoff_deg": lamp.cutoff_deg,
-        "radiance": lamp.radiance,
-    }
-    if lamp.position_mm is not None:
-        record |= {"position_mm": lamp.position_mm.tolist(), "seen_from_mm": lamp.seen_from_mm.tolist()}
-    return record
-
-
-def _seed(seed: Seed) -> dict[str, Any]:
-    record = {"x": seed.x_mm, "y": seed.y_mm, "R": seed.radius_mm, "c": seed.centre_z_mm, "kind": seed.kind}
-    return record if seed.fillet_mm is None else record | {"fillet_rho": seed.fillet_mm}
-
-
-def _dust(dust: Dust) -> dict[str, Any]:
-    return {"type": dust.kind, "x": dust.x_mm, "y": dust.y_mm, "r": dust.radius_mm}
 
 
 def _defect(number: int, seed: Seed, scene: Scene, tracer: Tracer, grey: FloatArray) -> dict[str, Any]:
