@@ -6,6 +6,7 @@ itself; here a frame has its deadline, and one that the driver lost shows as a g
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
 import mmap
@@ -95,17 +96,15 @@ class V4l2Source:
         """See the protocol; a damaged frame (the driver's word) or a short one raises ReplyWrong."""
         until_s = time.monotonic() + timeout_s
         try:
-            while True:
-                self._wait(until_s, timeout_s)
-                try:
-                    index, size, flags, number = self._take()
-                except BlockingIOError:
-                    continue
-                data = bytes(self._maps[index][:size])
-                self._give_back(index)
-                return self._frame(data, flags, number)
+            index, size, flags, number = self._wait(until_s)
+            data = bytes(self._maps[index][:size])
+            self._give_back(index)
+        except TimeoutError:
+            what = f"no frame from {self.name} in {timeout_s:.3g} s"
+            raise NoReply(self._device, what, "check trigger and camera") from None
         except OSError as error:
             raise self._gone("cannot read", error) from error
+        return self._frame(data, flags, number)
 
     def _frame(self, data: bytes, flags: int, number: int) -> RawFrame:
         wanted = self._line_bytes * self._form.height_px
@@ -146,16 +145,22 @@ class V4l2Source:
             raise DeviceGone(self._device, "not open", "open it first")
         return fcntl.ioctl(self._fd, request, argument)
 
-    def _wait(self, until_s: float, timeout_s: float) -> None:
+    def _wait(self, until_s: float) -> tuple[int, int, int, int]:
+        """As :meth:`_take`, waiting for it. Raises TimeoutError."""
         if self._fd < 0:
             raise DeviceGone(self._device, "not open", "open it first")
         poll = select.poll()
         poll.register(self._fd, select.POLLIN)
-        ready = poll.poll(max(until_s - time.monotonic(), 0.0) * 1000)
-        if not ready:
-            raise NoReply(self._device, f"no frame from {self.name} in {timeout_s:.3g} s", "check trigger and camera")
-        if ready[0][1] & (select.POLLERR | select.POLLHUP | select.POLLNVAL):
-            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+        while True:
+            ready = poll.poll(max(until_s - time.monotonic(), 0.0) * 1000)
+            if ready and ready[0][1] & (select.POLLERR | select.POLLHUP | select.POLLNVAL):
+                raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+            if ready:
+                # Some drivers say that a frame is ready when none is.
+                with contextlib.suppress(BlockingIOError):
+                    return self._take()
+            if time.monotonic() >= until_s:
+                raise TimeoutError
 
     def _gone(self, what: str, error: OSError) -> DeviceGone:
         return DeviceGone(self._device, f"{what} {self.name}: {reason(error)}", "check the camera's cable and driver")

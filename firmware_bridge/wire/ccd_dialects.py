@@ -195,12 +195,13 @@ DALSA = Dialect(
     read_form="get {name}",
     answer_start="\r\n",
     answer_end=b">",
+    # Stray bytes before the first letter do no harm; a word that is half another's is none.
     answers=MappingProxyType(
         {
-            Verdict.ERROR: re.compile(r"Error (?P<code>\d{1,3}): ?(?P<text>.*)"),
-            Verdict.WARNING: re.compile(r"Warning (?P<code>\d{1,3}): ?(?P<text>.*)"),
-            Verdict.DONE: re.compile(r"OK"),
-            Verdict.VALUE: re.compile(rf"(?P<value>{_NUMBER.pattern})"),
+            Verdict.ERROR: re.compile(r"\W*Error (?P<code>\d{1,3}): ?(?P<text>.*)"),
+            Verdict.WARNING: re.compile(r"\W*Warning (?P<code>\d{1,3}): ?(?P<text>.*)"),
+            Verdict.DONE: re.compile(r"\W*OK"),
+            Verdict.VALUE: re.compile(rf"\W*?(?P<value>{_NUMBER.pattern})"),
         }
     ),
     answer_forms=MappingProxyType(
