@@ -135,7 +135,7 @@ def load(path: Path) -> Settings:
 def check(path: Path) -> Settings:
     """As :func:`load`, and recorded frames must be there too: the service itself waits for them as for any device."""
     settings = load(path)
-    missing = [frame for frame in settings.camera.paths if not frame.exists()]
+    missing = [frame for frame in settings.camera.recordings if not frame.exists()]
     if missing:
         allowed = "allowed: an image file or a folder that is there (the service would wait for it)"
         raise SettingsError(tuple(Problem(str(path), "camera.paths", repr(str(frame)), allowed) for frame in missing))
@@ -145,9 +145,8 @@ def check(path: Path) -> Settings:
 def configuration_hash(settings: Settings) -> int:
     """32 bits that change when any setting, or the calibration file's content, does. Raises OSError."""
     folder = settings.calibration.parent  # paths count relative to it, so that a moved installation keeps its hash
-    values = settings.model_dump(mode="json", exclude={"calibration"})
-    values["camera"]["paths"] = [os.path.relpath(frame, folder) for frame in settings.camera.paths]
-    text = json.dumps(values, sort_keys=True).encode()
+    values = settings.model_dump(exclude={"calibration"})
+    text = json.dumps(values, sort_keys=True, default=lambda path: os.path.relpath(path, folder)).encode()
     digest = hashlib.sha256(text + settings.calibration.read_bytes()).digest()
     return int.from_bytes(digest[:4], "big")
 
