@@ -18,7 +18,8 @@ class CameraFrame:
     """A frame as the camera gave it: image (H, W) uint8 or uint16; ids rise by the frames the camera took.
 
     ``exposure_us`` is the exposure it was really taken at, None when the source does not know.
-    ``taken_at_s`` is Unix time. ``name`` tells the source (a file's path, a serial number and id).
+    ``taken_at_s`` is Unix time; ``camera_time_ns`` the camera's own clock, None if it has none.
+    ``name`` tells the source (a file's path, a serial number and id).
     """
 
     image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
@@ -26,6 +27,7 @@ class CameraFrame:
     name: str
     exposure_us: float | None
     taken_at_s: float
+    camera_time_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

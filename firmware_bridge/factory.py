@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from firmware_bridge.contracts import Camera, DigitalIO, Lamp
 from firmware_bridge.drivers.lamp import FostecLamp
@@ -18,6 +19,7 @@ from firmware_bridge.links.simulated import open_simulated
 from firmware_bridge.links.v4l2 import V4l2Source
 from firmware_bridge.settings import (
     CameraSettings,
+    GenicamCameraSettings,
     LampSettings,
     ModuleSettings,
     SerialCcdCameraSettings,
@@ -25,6 +27,9 @@ from firmware_bridge.settings import (
     TcpLink,
 )
 from firmware_bridge.wire.module_setup import Safety
+
+if TYPE_CHECKING:  # loaded for stations with such a camera alone
+    from firmware_bridge.drivers.genicam_camera import GenicamCamera
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +52,8 @@ def build_camera(settings: CameraSettings) -> Camera:
     """The camera that the settings name."""
     if isinstance(settings, SerialCcdCameraSettings):
         return build_serial_ccd(settings)
+    if isinstance(settings, GenicamCameraSettings):
+        return build_genicam(settings)
     return ReplayCamera(settings.paths, rate_hz=settings.rate_hz, loop=settings.loop, deadline_s=settings.deadline_s)
 
 
@@ -59,6 +66,18 @@ def build_serial_ccd(settings: SerialCcdCameraSettings, device: str = "camera") 
     )
     source = (V4l2Source if frames.kind == "v4l2" else RawSource)(device, frames.path, frames.form)
     return SerialCcdCamera(head, line, source, deadline_s=settings.deadline_s, device=device)
+
+
+def build_genicam(settings: GenicamCameraSettings, device: str = "camera") -> GenicamCamera:
+    """The GenICam camera that the settings name; ``device`` is what errors call it."""
+    from firmware_bridge.drivers.genicam_camera import GenicamCamera
+    from firmware_bridge.drivers.genicam_features import Region, Wanted
+
+    roi = settings.roi
+    region = Region(roi.x_px, roi.y_px, roi.width_px, roi.height_px) if roi else None
+    wanted = Wanted(settings.pixel_format, region, settings.trigger, settings.gain_db, settings.packet_size_bytes)
+    deadlines_s = {"deadline_s": settings.deadline_s, "command_deadline_s": settings.command_deadline_s}
+    return GenicamCamera(settings.camera, wanted, **deadlines_s, device=device)
 
 
 def build_module(settings: ModuleSettings, channels: Sequence[int] | None = None) -> ModbusModule:

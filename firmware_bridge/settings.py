@@ -326,7 +326,56 @@ class SerialCcdCameraSettings(Strict):
         return self
 
 
-CameraSettings = Annotated[ReplaySettings | SerialCcdCameraSettings, Field(discriminator="kind")]
+class RegionSettings(Strict):
+    """Part of a sensor that is read out."""
+
+    x_px: int = Field(0, ge=0)
+    """First column (SFNC OffsetX)."""
+    y_px: int = Field(0, ge=0)
+    """First row (SFNC OffsetY)."""
+    width_px: int = Field(ge=1)
+    """Columns (SFNC Width)."""
+    height_px: int = Field(ge=1)
+    """Rows (SFNC Height)."""
+
+
+class GenicamCameraSettings(Strict):
+    """A GigE Vision or USB3 Vision camera; needs the system's package libaravis-0.8-0."""
+
+    kind: Literal["genicam"]
+    """A GenICam camera."""
+    camera: str | None = Field(None, min_length=1)
+    """Which one: its IP or MAC address, its id as `arv-tool-0.8` lists it, or its serial number, by which finding it
+    takes 2 s more; null: the first one found."""
+    pixel_format: Literal["Mono8", "Mono10", "Mono10Packed", "Mono10p", "Mono12", "Mono12Packed", "Mono12p"] = "Mono8"
+    """Grey values and how they are packed, by PFNC name."""
+    roi: RegionSettings | None = None
+    """Part of the sensor that is read out; null: all of it. The calibration must be of the same part."""
+    trigger: str = Field("Software", pattern=r"^(Software|Off|\w+\d+)$")
+    """Software: each frame is asked for; Line0, Line1...: a signal on that input of the camera begins each exposure;
+    Off: the camera runs freely, and the next frame that comes is taken."""
+    gain_db: float | None = None
+    """Gain in dB, or in the camera's own unit if it has no other; null: its lowest."""
+    packet_size_bytes: int | None = Field(None, ge=576, le=16384)
+    """Packets of GigE Vision, bytes; null: the largest that the network is found to let through."""
+    command_deadline_s: PositiveFloat = Field(1.5, le=10)
+    """Every command is answered within this time, or the camera is gone, seconds."""
+    deadline_s: PositiveFloat = Field(5.0, ge=3, le=3600)
+    """A frame must come within this time, seconds, and the camera must be found within it."""
+
+    @property
+    def recordings(self) -> tuple[Path, ...]:
+        """A live camera needs none."""
+        return ()
+
+    def under(self, folder: Path) -> GenicamCameraSettings:
+        """The same: devices have names of their own, whatever the folder."""
+        return self
+
+
+CameraSettings = Annotated[
+    ReplaySettings | SerialCcdCameraSettings | GenicamCameraSettings, Field(discriminator="kind")
+]
 """One of the cameras, told apart by ``kind``."""
 
 
