@@ -143,7 +143,7 @@ PIECES = st.lists(
 
 
 @pytest.mark.parametrize("dialect", DIALECTS.values(), ids=DIALECTS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(pieces=PIECES)
 def test_random_streams_do_no_harm(dialect: Dialect, pieces: list[bytes]) -> None:
     answers, commands = AnswerReader(dialect), CommandReader(dialect)
