@@ -16,6 +16,10 @@ app = typer.Typer(
 )
 config_app = typer.Typer(help="Check, show and document settings.", no_args_is_help=True)
 app.add_typer(config_app, name="config")
+io_app = typer.Typer(help="The I/O module's points, at the cabinet, with the service stopped.", no_args_is_help=True)
+app.add_typer(io_app, name="io")
+lamp_app = typer.Typer(help="The lamp: its curve.", no_args_is_help=True)
+app.add_typer(lamp_app, name="lamp")
 simulate_app = typer.Typer(help="Simulated devices, to try PLC and settings without hardware.", no_args_is_help=True)
 app.add_typer(simulate_app, name="simulate-device")
 
@@ -44,6 +48,21 @@ class Method(enum.StrEnum):
     THESIS = "thesis"
 
 
+class PageFormat(enum.StrEnum):
+    """Forms of a page of the manual."""
+
+    TABLE = "table"
+    MARKDOWN = "markdown"
+
+
+class ReportFormat(enum.StrEnum):
+    """Forms of the doctor's report."""
+
+    TEXT = "text"
+    JSON = "json"
+
+
+SettingsFile = Annotated[Path, typer.Option("--config", help="Settings file, YAML.")]
 ConfigFile = Annotated[Path, typer.Argument(help="Settings file, YAML.")]
 
 
@@ -163,11 +182,127 @@ def run(
 
 
 @app.command()
+def doctor(
+    config: SettingsFile,
+    format: Annotated[ReportFormat, typer.Option(help="How to print it.")] = ReportFormat.TEXT,
+) -> None:
+    """Try every device, port, file, disk and clock of a station, in order, with the service stopped; nothing is lit.
+
+    Exit status: 0 the station can run, 1 it cannot.
+    """
+    from inspector import doctor as command
+
+    raise typer.Exit(command.run(config, format is ReportFormat.JSON))
+
+
+@app.command()
+def expose(
+    config: SettingsFile,
+    frames: Annotated[int, typer.Option(min=1, help="Frames looked at in each step.")] = 1,
+    settle_s: Annotated[float, typer.Option(min=0, help="The lamp's time to follow its level, seconds.")] = 1.0,
+    write: Annotated[bool, typer.Option("--write", help="Write what was found into the recipe.")] = False,
+) -> None:
+    """Find the longest exposure and lowest lamp level at which no spot bleeds, with a panel in view.
+
+    Exit status: 0 found, 1 there is none (it says why), 69 a device cannot be used, 78 the settings are refused.
+    """
+    from inspector import expose as command
+
+    raise typer.Exit(command.run(config, frames=frames, settle_s=settle_s, write=write))
+
+
+@lamp_app.command("calibrate")
+def lamp_calibrate(
+    config: SettingsFile,
+    output: Annotated[
+        Path | None, typer.Option(help="The curve's file; default: the one of lamp.curve.")
+    ] = None,
+    steps: Annotated[int, typer.Option(min=2, max=100, help="Steps from 0 to 5 V.")] = 20,
+    frames: Annotated[int, typer.Option(min=1, help="Frames averaged at each level.")] = 4,
+    settle_s: Annotated[float, typer.Option(min=0, help="The lamp's time to follow its level, seconds.")] = 3.0,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask, for scripts.")] = False,
+) -> None:
+    """Step the lamp's level, measure the light on the reference in the frame, write the percent-to-volt curve.
+
+    Exit status: 0 written, 1 not confirmed or no curve, 69 a device cannot be used, 78 the settings are refused.
+    """
+    from inspector import lamp_calibrate as command
+
+    raise typer.Exit(command.run(config, output, steps=steps, frames=frames, settle_s=settle_s, yes=yes))
+
+
+@app.command()
 def states() -> None:
     """Print the manual's page on the station's states."""
     from inspector import lifecycle
 
     typer.echo(lifecycle.markdown(), nl=False)
+
+
+@app.command()
+def faults(format: Annotated[PageFormat, typer.Option(help="How to print it.")] = PageFormat.TABLE) -> None:
+    """Print what can go wrong: fault, code, what the PLC sees, what the log says, how it recovers."""
+    from inspector import fault_table
+
+    typer.echo(fault_table.FORMATS[format.value](), nl=False)
+
+
+StationConfig = Annotated[Path, typer.Option("--config", help="Settings file, YAML; its module and lamp are used.")]
+PointNames = Annotated[list[str] | None, typer.Argument(help="Points, such as ao0, di3, do0, trip; default: all.")]
+
+
+@io_app.command("list")
+def io_list(config: StationConfig) -> None:
+    """The module's points, without touching it. Exit status: 0 done, 78 settings refused."""
+    from inspector import io_commands
+
+    raise typer.Exit(io_commands.list_points(config))
+
+
+@io_app.command("read")
+def io_read(config: StationConfig, points: PointNames = None) -> None:
+    """What points hold; nothing is written. Exit status: 0 done, 2 no such point, 69 no module, 78 settings refused."""
+    from inspector import io_commands
+
+    raise typer.Exit(io_commands.read(config, points or []))
+
+
+@io_app.command("write")
+def io_write(
+    config: StationConfig,
+    point: Annotated[str, typer.Argument(help="Point: ao0, do0, or trip.")],
+    value: Annotated[str, typer.Argument(help="Volts for ao; on or off for do; clear for trip.")],
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask, for scripts.")] = False,
+) -> None:
+    """Move an output, after a question. Exit status: 0 done, 1 not confirmed, 2 no such point or value, 69, 78."""
+    from inspector import io_commands
+
+    raise typer.Exit(io_commands.write(config, point, value, yes=yes))
+
+
+@io_app.command("watch")
+def io_watch(
+    config: StationConfig,
+    points: PointNames = None,
+    interval_s: Annotated[float, typer.Option(min=0.02, help="Time between looks, seconds.")] = 0.2,
+    count: Annotated[int | None, typer.Option(min=1, help="End after so many looks; default: at Ctrl-C.")] = None,
+) -> None:
+    """Every change of points, until Ctrl-C; nothing is written."""
+    from inspector import io_commands
+
+    raise typer.Exit(io_commands.watch(config, points or [], interval_s, count))
+
+
+@io_app.command("profiles")
+def io_profiles(format: Annotated[PageFormat, typer.Option(help="How to print it.")] = PageFormat.TABLE) -> None:
+    """The modules that there are profiles for."""
+    from firmware_bridge.wire import profiles_page
+    from inspector import io_commands
+
+    if format is PageFormat.MARKDOWN:
+        typer.echo(profiles_page.markdown(), nl=False)
+    else:
+        io_commands.show_profiles()
 
 
 @config_app.command()

@@ -1,7 +1,7 @@
-"""The service: registers served from the first moment, one cycle lamp -> exposure -> grab -> inspect -> publish.
+"""The service: registers served from the first moment, then for each trigger one cycle and one published result.
 
-The cycle runs in the main thread and is all that feeds the watchdogs, the PLC's and systemd's. What a cycle meets
-ends in one published result (:mod:`inspector.snapshots`); the service itself ends only when it is asked to.
+The cycle (:mod:`inspector.cycle`) runs in the main thread, and that is all that feeds the watchdogs: the PLC's,
+systemd's and, while the station waits, the I/O module's. The service ends only when it is asked to.
 """
 
 from __future__ import annotations
@@ -16,28 +16,34 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from firmware_bridge import factory
-from firmware_bridge.contracts import Camera, Lamp
-from firmware_bridge.errors import BridgeError
+from firmware_bridge.errors import BridgeError, NoTrigger
 from inspector import calibration_file, snapshots
-from inspector.acquire.capture import Wanted, capture
-from inspector.acquire.device_faults import fault_of
-from inspector.acquire.keeper import Keeper, Retry
-from inspector.acquire.outage import Outage
+from inspector.acquire.trigger import Calls, Clock, Input, Line, Trigger
+from inspector.cycle import Cycle, Inspection
 from inspector.faults import Fault
 from inspector.lifecycle import Event, after
-from inspector.model import Frame, FrameResult, Snapshot, Verdict
+from inspector.model import Snapshot
 from inspector.publish import console
 from inspector.publish.plc_server import PlcServer, PlcServerError
 from inspector.publish.systemd import Notifier
-from inspector.settings import Settings, SettingsError, Timed, configuration_hash, load
+from inspector.settings import (
+    ByHand,
+    DigitalInput,
+    HardwareLine,
+    Settings,
+    SettingsError,
+    Timed,
+    configuration_hash,
+    load,
+)
 from inspector.signals import Signals, StopRequested
 
 log = logging.getLogger(__name__)
 
 BEAT_S = 0.25
 """While it waits, the cycle shows this often that it lives."""
-OUTAGE_CYCLE_S = 0.5
-"""A free-running cycle without its devices comes round this often at least, so that what is shown stays true."""
+IDLE_CHECK_S = 2.0
+"""While the station waits, lamp and module are looked at this often, so that what is shown stays true."""
 STALL_MARGIN_S = 1.5
 """What a cycle may take beyond all its devices' deadlines before the PLC is told that it has stalled."""
 LAMP_REQUESTS = 4
@@ -45,8 +51,6 @@ LAMP_REQUESTS = 4
 
 EXIT_STOPPED, EXIT_PORT_TAKEN, EXIT_SETTINGS_REFUSED = 0, 69, 78
 """Exit statuses, as sysexits.h names them: done, EX_UNAVAILABLE, EX_CONFIG (which no restart mends)."""
-
-Inspection = Callable[[Frame], FrameResult]
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,9 +105,7 @@ class Daemon:
         self._make_inspection, self._build = inspection, build
         self._server = _server(settings)
         self._snapshot = Snapshot()
-        self._frames, self._program = Outage("frame"), Outage("inspection")
-        self._simulated = False
-        self._due_s = time.monotonic()
+        self._spoken_s = -math.inf
 
     @property
     def port(self) -> int:
@@ -128,97 +130,113 @@ class Daemon:
                 self._turn(ends_s)
 
     def _prepare(self, at_end: contextlib.ExitStack) -> None:
-        """Make devices and inspection; ``at_end`` is told what to close, the lamp first."""
+        """Make devices and inspection; ``at_end`` is told what to close."""
         settings = self._settings
         devices = self._build(settings.camera, settings.module, settings.lamp)
-        retry, waiting = _retry(settings), self._signals.interruptible
-        self._camera: Keeper[Camera] = Keeper("camera", devices.camera, retry, waiting=waiting)
-        self._lamp: Keeper[Lamp] = Keeper("lamp", devices.lamp, retry, waiting=waiting)
-        at_end.callback(self._camera.close)
-        at_end.callback(self._lamp.close)
+        inspect = self._make_inspection(settings)
+        self._cycle = Cycle(settings, devices, inspect, waiting=self._signals.interruptible)
+        at_end.callback(self._cycle.close)
         at_end.callback(self._say_farewell)
-        self._inspect = self._make_inspection(settings)
-        self._simulated = devices.camera.simulated or devices.lamp.simulated
-        self._show(self._described(self._snapshot))
+        self._trigger = self._triggered()
+        self._show(replace(self._described(self._snapshot), simulated=self._cycle.simulated))
+
+    def _triggered(self, missed: int = 0, late: int = 0) -> Trigger:
+        """What begins a cycle, by the settings."""
+        cycle = self._settings.cycle
+        late_s, choice = cycle.late_after_s, cycle.trigger
+        match choice:
+            case Timed():
+                return Clock(choice.rate_hz, time.monotonic(), late_s, missed, late)
+            case DigitalInput():
+                wanted = choice.active == "on"
+                return Input(
+                    lambda: self._cycle.read_input(choice.channel) is wanted,
+                    choice.debounce_s,
+                    choice.poll_s,
+                    late_s,
+                    missed,
+                    late,
+                )
+            case HardwareLine():
+                return Line(late_s, missed, late)
+            case ByHand():
+                self._signals.take_triggers()  # what came before was not for it
+                return Calls(self._signals.take_triggers, late_s, missed, late)
+            case _:
+                return Trigger(late_s, missed, late)
 
     def _turn(self, ends_s: float) -> None:
         """Wait for the trigger, then one cycle; or take over new settings."""
         if self._signals.reload:
             self._signals.reload = False
             self._reload()
-        self._wait_until(min(self._due_s, ends_s))
-        if not self._signals.stop and not self._signals.reload and time.monotonic() < ends_s:
-            self._cycle()
+        if self._triggered_before(ends_s):
+            self._inspect_one()
 
-    def _wait_until(self, due_s: float) -> None:
+    def _triggered_before(self, ends_s: float) -> bool:
+        """Wait, alive, until a cycle is to begin; False if something else is to be done first."""
         self._beat()
-        while (left_s := due_s - time.monotonic()) > 0 and not self._signals.stop and not self._signals.reload:
-            self._signals.wait(min(left_s, BEAT_S))
+        while not self._signals.stop and not self._signals.reload:
+            due_s, look_s = min(self._due_s(), ends_s), self._trigger.look_s
+            now_s = time.monotonic()
+            if due_s <= now_s:
+                return now_s < ends_s
+            if now_s >= self._spoken_s + self._silence_s and due_s - now_s > BEAT_S:
+                self._keep_ready()
+            self._signals.wait(min(due_s - time.monotonic(), BEAT_S, look_s))
             self._beat()
+        return False
+
+    def _due_s(self) -> float:
+        """When the next cycle begins; a trigger that cannot be read is a fault, and waited for."""
+        try:
+            return self._trigger.due_s(time.monotonic())
+        except BridgeError as error:
+            self._show_changed(self._cycle.waits_for(self._snapshot, error))
+            return math.inf
+
+    def _keep_ready(self) -> None:
+        self._show_changed(self._cycle.keep_ready(self._snapshot))
+        self._spoken_s = time.monotonic()
+
+    @property
+    def _silence_s(self) -> float:
+        """How long the module may go unasked while the station waits: well under its watchdog's time."""
+        watchdog_s = self._settings.module.watchdog_s or math.inf
+        return min(IDLE_CHECK_S, watchdog_s / 3)
 
     def _beat(self) -> None:
         self._server.beat()
         self._notifier.feed_watchdog(time.monotonic())
 
-    def _cycle(self) -> None:
-        """One frame taken, inspected and published; whatever goes wrong is published in its place."""
+    def _inspect_one(self) -> None:
+        """One cycle, and its result for everybody."""
         started_s = time.monotonic()
+        self._trigger.begins(started_s)
         try:
-            self._inspect_one(started_s)
-        except BridgeError as error:
-            self._fail(fault_of(error), str(error), started_s)
-        except Exception as error:
-            self._program.begins(f"{type(error).__name__}: {error}", traceback=True)
-            self._fail(Fault.INTERNAL, f"{type(error).__name__}: {error}", started_s)
-        self._schedule(started_s)
-
-    def _inspect_one(self, started_s: float) -> None:
-        frame = capture(self._lamp, self._camera, _wanted(self._settings), self._signals.interruptible)
-        missing_s = self._settings.lamp.warm_up_s - self._lamp.worked_s
-        if missing_s > 0:
-            self._fail(Fault.LAMP_WARMING_UP, f"{missing_s:.0f} s left", started_s)
+            turn = self._cycle.turn(self._counted(self._snapshot), self._trigger.glance)
+        except NoTrigger:
+            self._keep_ready()
             return
-        taken_s = time.monotonic()
-        result = self._inspect(frame)
-        self._note(result)
-        now_s = time.monotonic()
-        times = snapshots.Times(now_s, (now_s - taken_s) * 1e6, (now_s - started_s) * 1e6)
-        self._show(snapshots.inspected(self._snapshot, frame, result, times))
-        console.say(console.panel_line(self._snapshot, Path(frame.name).name, result.reasons_text))
+        self._spoken_s = time.monotonic()
+        self._show(turn.snapshot)
+        console.say(console.panel_line(turn.snapshot, turn.name, turn.why))
+        self._trigger.took(turn.frame_id)
+        self._trigger.ended(time.monotonic(), self._cycle.resume_s(started_s))
+        self._show_changed(self._counted(self._snapshot))
 
-    def _note(self, result: FrameResult) -> None:
-        """The inspection works; a row of frames that cannot be judged is said once."""
-        self._program.ends()
-        if result.verdict is Verdict.NOT_INSPECTED:
-            self._frames.begins("; ".join(result.reasons_text))
-        else:
-            self._frames.ends()
+    def _counted(self, snapshot: Snapshot) -> Snapshot:
+        return replace(snapshot, missed_triggers=self._trigger.missed, late_triggers=self._trigger.late)
 
-    def _fail(self, fault: Fault, why: str, started_s: float) -> None:
-        now_s = time.monotonic()
-        last = replace(self._snapshot, lamp_ok=self._lamp.works, camera_ok=self._camera.works)
-        times = snapshots.Times(now_s, 0.0, (now_s - started_s) * 1e6)
-        self._show(snapshots.not_inspected(last, fault, times))
-        console.say(console.panel_line(self._snapshot, "", (f"{fault.name}: {why}",)))
+    def _show_changed(self, snapshot: Snapshot) -> None:
+        if snapshot != self._snapshot:
+            self._show(snapshot)
 
     def _show(self, snapshot: Snapshot) -> None:
         self._server.publish(snapshot)
         self._snapshot = snapshot
         fault = f", fault {snapshot.fault_code}" if snapshot.fault_code else ""
         self._notifier.status(f"{snapshot.state.name}{fault}; registers on port {self.port}")
-
-    def _schedule(self, started_s: float) -> None:
-        """When the next cycle begins: at the next tick, when a failed device is due, or at once."""
-        now_s, trigger = time.monotonic(), self._settings.cycle.trigger
-        if isinstance(trigger, Timed):
-            missed = max(0, math.floor((now_s - self._due_s) * trigger.rate_hz))
-            self._due_s += (missed + 1) / trigger.rate_hz
-            self._snapshot = replace(self._snapshot, missed_triggers=self._snapshot.missed_triggers + missed)
-        elif self._program.lasts:
-            self._due_s = started_s + OUTAGE_CYCLE_S
-        else:
-            waiting = [keeper.due_s for keeper in (self._lamp, self._camera) if keeper.due_s > now_s]
-            self._due_s = min([*waiting, started_s + OUTAGE_CYCLE_S]) if waiting else now_s
 
     def _reload(self) -> None:
         """Take over the settings file if it is right; else say what is wrong and go on as before."""
@@ -245,16 +263,11 @@ class Daemon:
         old, inspect = self._settings, self._make_inspection(new)
         if new.plc != old.plc:
             self._serve_anew(new)
-        devices = self._build(new.camera, new.module, new.lamp)
-        if new.camera != old.camera:
-            self._camera.replace(devices.camera)
-        if (new.module, new.lamp) != (old.module, old.lamp):
-            self._lamp.replace(devices.lamp)
-        self._camera.retry = self._lamp.retry = _retry(new)
-        self._settings, self._inspect, self._due_s = new, inspect, time.monotonic()
-        self._simulated = devices.camera.simulated or devices.lamp.simulated
+        self._cycle.take_over(new, self._build(new.camera, new.module, new.lamp), inspect)
+        self._settings = new
+        self._trigger = self._triggered(self._trigger.missed, self._trigger.late)
         anew = self._described(self._snapshot, Event.STOPPED, Event.UNPREPARED)
-        self._snapshot = replace(anew, settings_refused=False)
+        self._snapshot = replace(anew, settings_refused=False, simulated=self._cycle.simulated)
 
     def _serve_anew(self, new: Settings) -> None:
         """Serve as ``new`` says. Raises PlcServerError, and then serves on as before."""
@@ -279,9 +292,8 @@ class Daemon:
             snapshot,
             state=after(snapshot.state, *events),
             recipe_id=settings.recipe.id,
-            lamp_set_v=_wanted(settings).lamp_v,
+            lamp_set_v=settings.lamp.volts(settings.recipe.lamp_percent),
             configuration_hash=configuration_hash(settings),
-            simulated=self._simulated,
         )
 
     def _say_farewell(self) -> None:
@@ -297,17 +309,6 @@ def _server(settings: Settings) -> PlcServer:
     plc = settings.plc
     longest_s = settings.camera.deadline_s + LAMP_REQUESTS * settings.module.deadline_s
     return PlcServer(stall_after_s=longest_s + STALL_MARGIN_S, **plc.model_dump())
-
-
-def _retry(settings: Settings) -> Retry:
-    return Retry(settings.cycle.retry_first_s, settings.cycle.retry_longest_s)
-
-
-def _wanted(settings: Settings) -> Wanted:
-    lamp, recipe = settings.lamp, settings.recipe
-    return Wanted(
-        recipe.exposure_us, lamp.volts(recipe.lamp_percent), lamp.tolerance_v, settings.cycle.exposure_tolerance
-    )
 
 
 def _log_problems(error: SettingsError) -> None:

@@ -5,9 +5,9 @@ Frozen and strict; the stages take these models as they are.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, model_validator
 
 
 class Strict(BaseModel):
@@ -79,6 +79,27 @@ class Limits(Strict):
     """Rectangles with limits of their own."""
 
 
+class AutomaticExposure(Strict):
+    """Between panels, exposure and lamp level are moved so that the brightest spots come near full scale, and none
+    bleeds: the exposure as long, the lamp as low as can be."""
+
+    min_us: PositiveFloat = 10.0
+    """Shortest exposure, microseconds."""
+    max_us: PositiveFloat = 10000.0
+    """Longest exposure, microseconds: that in which the panel moves by a small part of a pixel."""
+    lamp_min_percent: float = Field(75.0, ge=75, le=100)
+    """Lowest lamp level, percent; a halogen bulb below 75 lives shorter."""
+    lamp_max_percent: float = Field(100.0, ge=75, le=100)
+    """Highest lamp level, percent."""
+
+    @model_validator(mode="after")
+    def _are_ranges(self) -> Self:
+        for low, high in (("min_us", "max_us"), ("lamp_min_percent", "lamp_max_percent")):
+            if getattr(self, low) > getattr(self, high):
+                raise ValueError(f"{low} is above {high}; allowed: at most {getattr(self, high):g}")
+        return self
+
+
 class Recipe(Strict):
     """Everything a paint colour or part type decides."""
 
@@ -90,6 +111,8 @@ class Recipe(Strict):
     """Exposure, microseconds."""
     lamp_percent: float = Field(80.0, ge=0, le=100)
     """Lamp intensity, percent of full."""
+    automatic_exposure: AutomaticExposure | None = None
+    """Ranges within which exposure and lamp level follow the spots, beginning with the two above; null: they stay."""
     method: Literal["exact", "thesis"] = "exact"
     """How heights are computed: exact (the product's model) or thesis (the 2004 formula)."""
     detection: Detection = Detection()

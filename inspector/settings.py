@@ -13,10 +13,11 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, PositiveFloat
+from pydantic import AfterValidator, ConfigDict, Field, PositiveFloat
 
 from firmware_bridge import settings as bridge
-from inspector import yaml_document
+from inspector import lamp_curve_file, yaml_document
+from inspector.acquire.light import LightSettings
 from inspector.calibration_file import CalibrationError
 from inspector.calibration_file import read as read_calibration
 from inspector.recipe import Recipe, Strict
@@ -66,7 +67,7 @@ class FreeRunning(Strict):
 
 
 class Timed(Strict):
-    """A cycle begins at each tick of a clock; ticks that come during a cycle are counted as missed."""
+    """A cycle begins at each tick of a clock."""
 
     kind: Literal["timed"]
     """A clock sets the pace."""
@@ -74,11 +75,44 @@ class Timed(Strict):
     """Cycles a second."""
 
 
+class DigitalInput(Strict):
+    """A cycle begins when an input of the I/O module comes on, as from a light barrier at the station."""
+
+    kind: Literal["digital_input"]
+    """An input of the I/O module sets the pace."""
+    channel: int = Field(0, ge=0)
+    """Which input, counted from 0."""
+    active: Literal["on", "off"] = "on"
+    """What begins a cycle: the input coming on, or going off."""
+    debounce_s: float = Field(0.02, ge=0, le=10)
+    """The input must have stood so for this time, seconds."""
+    poll_s: float = Field(0.01, gt=0, le=1)
+    """It is read this often, seconds, as far as the module's line lets."""
+
+
+class HardwareLine(Strict):
+    """A cycle begins when the camera's own input line begins an exposure; the camera's settings name the line."""
+
+    kind: Literal["hardware_line"]
+    """A signal into the camera sets the pace."""
+
+
+class ByHand(Strict):
+    """A cycle begins at each SIGUSR1, as from `systemctl kill --signal=USR1 inspector`."""
+
+    kind: Literal["by_hand"]
+    """A person or a script sets the pace."""
+
+
 class CycleSettings(Strict):
     """When a frame is taken, how near it must be to what was asked, and how failed devices are tried again."""
 
-    trigger: Annotated[FreeRunning | Timed, Field(discriminator="kind")] = FreeRunning()
-    """What begins a cycle."""
+    trigger: Annotated[FreeRunning | Timed | DigitalInput | HardwareLine | ByHand, Field(discriminator="kind")] = (
+        FreeRunning()
+    )
+    """What begins a cycle; what comes while a cycle runs is counted as missed, and not made up for."""
+    late_after_s: PositiveFloat = 0.05
+    """A cycle that begins so long after its trigger is counted as late, seconds; it is inspected all the same."""
     exposure_tolerance: float = Field(0.01, ge=0, lt=1)
     """How far the exposure read back may be from the one asked for, as a share of it."""
     retry_first_s: float = Field(0.1, gt=0, le=60)
@@ -112,21 +146,49 @@ class Settings(Strict):
     """What the paint colour and part type decide; in place, or the name of a file that has it."""
     cycle: CycleSettings = CycleSettings()
     """The inspection cycle."""
+    light: LightSettings | None = None
+    """The reference patch by which the light is kept constant; null: there is none."""
 
     def under(self, folder: Path) -> Settings:
         """The same settings with relative paths taken from ``folder``."""
         return self.model_copy(
-            update={"calibration": folder / self.calibration, "camera": self.camera.under(folder)},
+            update={
+                "calibration": folder / self.calibration,
+                "camera": self.camera.under(folder),
+                "lamp": self.lamp.under(folder),
+            },
         )
+
+
+class DeviceSettings(Strict):
+    """The part of a station's settings that its I/O module needs; before a calibration there is no more."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    module: bridge.ModuleSettings
+    """The I/O module that sets the lamp's level."""
+    lamp: bridge.LampSettings = bridge.LampSettings()
+    """The lamp."""
+
+
+def load_devices(path: Path) -> DeviceSettings:
+    """Module and lamp of a settings file, whatever else it says. Raises SettingsError with every problem of these."""
+    document = _with_lamp_curve(yaml_document.read(path), path.parent)
+    devices, problems = yaml_document.validate(document, DeviceSettings)
+    if devices is None or problems:
+        raise SettingsError(problems)
+    return devices
 
 
 def load(path: Path) -> Settings:
     """The settings in a file, with its calibration file looked through. Raises SettingsError with every problem."""
-    document = _with_recipe(yaml_document.read(path), path.parent)
+    document = _with_lamp_curve(_with_recipe(yaml_document.read(path), path.parent), path.parent)
     settings, problems = yaml_document.validate(document, Settings)
     if isinstance(document.data, dict):
         problems += tuple(_joint_problems(document, document.data, path.parent))
         problems += tuple(_port_problems(document, settings.model_dump() if settings else document.data))
+    if settings:
+        problems += tuple(_pace_problems(document, settings))
     if settings is None or problems:
         raise SettingsError(problems)
     return settings.under(path.parent)
@@ -145,7 +207,7 @@ def check(path: Path) -> Settings:
 def configuration_hash(settings: Settings) -> int:
     """32 bits that change when any setting, or the calibration file's content, does. Raises OSError."""
     folder = settings.calibration.parent  # paths count relative to it, so that a moved installation keeps its hash
-    values = settings.model_dump(exclude={"calibration"})
+    values = settings.model_dump(exclude={"calibration": True, "lamp": {"hours_file"}})
     text = json.dumps(values, sort_keys=True, default=lambda path: os.path.relpath(path, folder)).encode()
     digest = hashlib.sha256(text + settings.calibration.read_bytes()).digest()
     return int.from_bytes(digest[:4], "big")
@@ -155,6 +217,16 @@ def _with_recipe(document: Document, folder: Path) -> Document:
     """The document with its recipe's own file, if it names one, taken in."""
     recipe = document.data.get("recipe") if isinstance(document.data, dict) else None
     return document.including("recipe", yaml_document.read(folder / recipe)) if isinstance(recipe, str) else document
+
+
+def _with_lamp_curve(document: Document, folder: Path) -> Document:
+    """The document with the file of the lamp's measured curve, if it names one, taken in."""
+    lamp = document.data.get("lamp") if isinstance(document.data, dict) else None
+    curve = lamp.get("curve") if isinstance(lamp, dict) else None
+    if not isinstance(curve, str):
+        return document
+    measured = lamp_curve_file.document(folder / curve)
+    return document.including("lamp", Document(document.source, lamp).including("curve", measured))
 
 
 def _joint_problems(document: Document, data: Mapping[str, object], folder: Path) -> Iterator[Problem]:
@@ -182,6 +254,16 @@ def _device_problems(document: Document, data: Mapping[str, object]) -> Iterator
         return
     for place, value, allowed in bridge.conflicts(module, lamp):
         yield document.problem(tuple(place.split(".")), value, f"allowed: {allowed}")
+
+
+def _pace_problems(document: Document, settings: Settings) -> Iterator[Problem]:
+    """A module's watchdog must not take a cycle that waits for its camera for a dead station."""
+    watchdog_s, longest_s = settings.module.watchdog_s, settings.camera.deadline_s + settings.module.deadline_s
+    if watchdog_s is not None and watchdog_s <= longest_s:
+        allowed = (
+            f"allowed: more than {longest_s:g}, for which a cycle may wait (camera.deadline_s + module.deadline_s)"
+        )
+        yield document.problem(("module", "watchdog_s"), watchdog_s, allowed)
 
 
 def _port_problems(document: Document, data: object) -> Iterator[Problem]:

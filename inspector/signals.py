@@ -15,6 +15,9 @@ import time
 from collections import deque
 from collections.abc import Iterator
 
+TRIGGERS = 1000
+"""More triggers than this, while nobody takes them, are forgotten."""
+
 
 class StopRequested(BaseException):
     """The service is to stop; no Exception, so that nothing on the way takes it for a failure."""
@@ -26,7 +29,7 @@ class Signals:
     def __init__(self) -> None:
         self.stop = False
         self.reload = False
-        self._triggers: deque[float] = deque()
+        self._triggers: deque[float] = deque(maxlen=TRIGGERS)
         self._interruptible = False
         self._woken, self._wake = socket.socketpair()
         self._woken.setblocking(False)

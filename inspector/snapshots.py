@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from inspector.acquire.device_faults import FAULTS
 from inspector.faults import Fault
 from inspector.lifecycle import Event, after
 from inspector.model import Frame, FrameResult, Reason, Snapshot, Verdict
@@ -24,9 +25,15 @@ FRAME_FAULTS = {
 FAULT_REASONS = {
     Fault.LAMP_READBACK: Reason.LAMP_NOT_AS_SET,
     Fault.LAMP_WARMING_UP: Reason.LAMP_NOT_AS_SET,
+    Fault.LAMP_WEAK: Reason.LAMP_NOT_AS_SET,
+    Fault.FRAME_OVERLIT: Reason.FRAME_OVERLIT,
     Fault.EXPOSURE_READBACK: Reason.EXPOSURE_NOT_AS_SET,
 }
 """Reason bits of a cycle without a frame; DEVICE_FAULT where the code is not listed."""
+
+
+SEEN_WAITING = {Fault.NONE, Fault.LAMP_WARMING_UP} | {code for codes in FAULTS.values() for code in codes.values()}
+"""Faults whose end can be seen without a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,14 +74,21 @@ def not_inspected(last: Snapshot, fault: Fault, times: Times) -> Snapshot:
         last,
         state=after(last.state, *events),
         fault_code=fault,
-        reasons=FAULT_REASONS.get(fault, Reason.DEVICE_FAULT),
-        defects=(),
-        unpaired_count=0,
-        elapsed_us=0.0,
-        lamp_read_v=0.0,
-        exposure_us=0.0,
+        reasons=_reasons(fault),
     )
-    return _counted(shown, Verdict.NOT_INSPECTED, times)
+    return _counted(_nothing_seen(shown), Verdict.NOT_INSPECTED, times)
+
+
+def waiting(last: Snapshot, fault: Fault) -> Snapshot:
+    """The station waits for its trigger: ready, or not because of ``fault``. That is no result: a fault takes back the
+    last verdict, which nobody stands behind any more, and its end does not bring it back."""
+    if fault:
+        events = (Event.FAULT, Event.RECOVERED) if fault is Fault.LAMP_WARMING_UP else (Event.FAULT,)
+        shown = replace(last, state=after(last.state, *events), fault_code=fault, reasons=_reasons(fault))
+        return replace(_nothing_seen(shown), verdict=Verdict.NOT_INSPECTED)
+    if last.fault_code not in SEEN_WAITING:
+        return last
+    return replace(last, state=after(last.state, Event.RECOVERED, Event.PREPARED), fault_code=Fault.NONE)
 
 
 def stopped(last: Snapshot) -> Snapshot:
@@ -90,6 +104,15 @@ def stopped(last: Snapshot) -> Snapshot:
         lamp_ok=False,
         camera_ok=False,
     )
+
+
+def _reasons(fault: Fault) -> Reason:
+    return FAULT_REASONS.get(fault, Reason.DEVICE_FAULT)
+
+
+def _nothing_seen(shown: Snapshot) -> Snapshot:
+    """The snapshot without anything of a frame."""
+    return replace(shown, defects=(), unpaired_count=0, elapsed_us=0.0, lamp_read_v=0.0, exposure_us=0.0)
 
 
 def _counted(shown: Snapshot, verdict: Verdict, times: Times) -> Snapshot:

@@ -24,6 +24,12 @@ class Wanted:
     exposure_tolerance: float
 
 
+def prepare(lamp: Keeper[Lamp], camera: Keeper[Camera], wanted: Wanted) -> None:
+    """Set lamp and exposure as wanted, so that the next frame need not wait for them. Raises BridgeError."""
+    lamp.use(lambda device: _light(device, wanted))
+    camera.use(lambda device: _check_exposure(device.set_exposure_us(wanted.exposure_us), wanted, "reads back"))
+
+
 def capture(lamp: Keeper[Lamp], camera: Keeper[Camera], wanted: Wanted, waiting: Waiting = nullcontext) -> Frame:
     """One frame, taken with the lamp and the exposure as wanted. Raises BridgeError.
 

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
-from firmware_bridge.errors import BridgeError
+from firmware_bridge.errors import BridgeError, NoTrigger
 from inspector.acquire.outage import Outage
 
 
@@ -76,12 +76,18 @@ class Keeper(Generic[DeviceT]):
         return self._due_s
 
     def use(self, work: Callable[[DeviceT], ResultT]) -> ResultT:
-        """Do ``work`` with the open device. Raises BridgeError; until the next try is due, the last one again."""
+        """Do ``work`` with the open device. Raises BridgeError; until the next try is due, the last one again.
+
+        A camera that only waits for its trigger (NoTrigger) has not failed.
+        """
         self.ready()
         if self._error is not None:
             raise self._error.with_traceback(None)
         try:
             result = work(self.device)
+        except NoTrigger:
+            self._worked()
+            raise
         except BridgeError as error:
             self._failed(error)
             raise

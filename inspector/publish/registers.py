@@ -74,6 +74,7 @@ class Status(enum.IntFlag):
     DEFECTS_TRUNCATED = 1 << 7
     LIST_TRUNCATED = 1 << 8
     SETTINGS_REFUSED = 1 << 9
+    LAMP_WEAK = 1 << 10
 
 
 STATUS_MEANINGS = {
@@ -87,6 +88,7 @@ STATUS_MEANINGS = {
     Status.DEFECTS_TRUNCATED: "More defects than the result block shows: read the defect list",
     Status.LIST_TRUNCATED: "More defects than the defect list shows",
     Status.SETTINGS_REFUSED: "New settings were refused (503); inspection goes on with the old ones",
+    Status.LAMP_WEAK: "The lamp is near the end of what its level may be raised by (203): change the bulb soon",
 }
 
 
@@ -141,6 +143,7 @@ def _status(p: Publication) -> Number:
         Status.DEFECTS_TRUNCATED: len(p.defects) > BLOCK_DEFECTS,
         Status.LIST_TRUNCATED: len(p.defects) > LIST_DEFECTS,
         Status.SETTINGS_REFUSED: s.settings_refused,
+        Status.LAMP_WEAK: s.lamp_weak,
     }
     return sum(bit for bit, is_set in bits.items() if is_set)
 
@@ -177,6 +180,7 @@ RESULT_FIELDS = (
     _F(38, "exposure_us", "u32", "us", "Exposure the frame was taken at", lambda p: p.snapshot.exposure_us),
     _F(40, "configuration_hash", "u32", "id", "Changes when any setting does", lambda p: p.snapshot.configuration_hash),
     _F(42, "sequence_u32", "u32", "id", "The sequence in 32 bits", lambda p: p.snapshot.sequence),
+    _F(44, "late_triggers", "u32", "count", "Cycles begun late", lambda p: p.snapshot.late_triggers),
     _F(124, "sequence_end", "u16", "id", "Equals sequence; compare if read in pieces", lambda p: p.snapshot.sequence),
 )  # fmt: skip
 

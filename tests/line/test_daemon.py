@@ -48,6 +48,11 @@ class FakeLamp:
     def read_volts(self) -> float:
         return self.volts
 
+    def keep_alive(self) -> None: ...
+
+    def burnt_hours(self) -> float:
+        return 0.0
+
 
 class FakeCamera:
     """A camera that gives a frame for each permit; ``grab`` waits for one."""
@@ -203,11 +208,10 @@ def test_a_clock_sets_the_pace_and_what_it_misses_is_counted(
     at_work = bench(cycle={"trigger": {"kind": "timed", "rate_hz": 50.0}})
     at_work.camera.permits.release()
     first = shown(at_work, lambda r: r["sequence"] == 1, "first result")
-    assert first["missed_triggers"] == 0
     threading.Event().wait(0.1)  # ticks pass while the camera keeps the second cycle waiting: that is the subject
     at_work.camera.permits.release(2)
     third = shown(at_work, lambda r: r["sequence"] == 3, "third result")
-    assert third["missed_triggers"] >= 1
+    assert third["missed_triggers"] > first["missed_triggers"]
 
 
 def test_reload_opens_again_only_what_changed(
@@ -259,7 +263,7 @@ def test_a_reload_on_the_same_port_is_served_again_either_way(
     at_work.station.settings["plc"] = {"port": 0, "host": host}
     reload(at_work)
     wait_until(lambda: at_work.daemon.port not in (before, 0), "another server")
-    registers = shown(at_work, lambda r: r["sequence"] == 2 or at_work.camera.permits.release(), "a second result")
+    registers = shown(at_work, lambda r: r["sequence"] >= 2 or at_work.camera.permits.release(), "a second result")
     assert (Status.SETTINGS_REFUSED in Status(int(registers["status"]))) is refused
 
 
