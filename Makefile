@@ -30,6 +30,8 @@ docs: $(VENV)/run.stamp  ## Write again what is generated from the code.
 	$(BIN)/inspector registers --format csv > deploy/plc/registers.csv
 	$(BIN)/inspector config schema > config/schema.json
 	$(BIN)/inspector states > docs/states.md
+	$(BIN)/inspector io profiles --format markdown > docs/modules.md
+	$(BIN)/inspector faults --format markdown > docs/faults.md
 
 lock: $(BIN)/python  ## Choose new releases of the dependencies, with their hashes.
 	$(PYTHON) -m venv build/lock && build/lock/bin/pip install --quiet uv
