@@ -188,7 +188,7 @@ def _cluster(
 
 def _clipped_charge(spots: Spots, members: IntArray, response: Response) -> FloatArray:
     """Charge (k,) DN px that the clipped pixels hold at the least."""
-    return np.maximum(spots.table[members, SATURATED_PX], 0.5) * response.sensor.saturation_dn
+    return np.asarray(np.maximum(spots.table[members, SATURATED_PX], 0.5) * response.sensor.saturation_dn)
 
 
 def _most_flux(spots: Spots, members: IntArray, response: Response) -> FloatArray:

@@ -140,8 +140,8 @@ def fit(
 ) -> Fitted:
     """Fit n spots at once, each in a round window as large as its share of its component asks for.
 
-    ``spots`` (n, 6): the ground's grey value, the component's share in pixels, clipped pixels, the clipped lobe's lesser
-    extent, x, y. The blur of spots that are not ``typical`` (n,), the clipped ones above all, is held near that of those
-    that are: flanks tell position well but blur badly.
+    ``spots`` (n, 6): the ground's grey value, the component's share in pixels, clipped pixels, the clipped lobe's
+    lesser extent, x, y. The blur of spots that are not ``typical`` (n,), the clipped ones above all, is held near that
+    of those that are: flanks tell position well but blur badly.
     """
     return Fitted(kernel.fit(image, response.rules(bloom, threshold_dn), spots, typical.tobytes()))

@@ -95,11 +95,11 @@ def _full_scale(image: Image, sensor: Sensor) -> Sensor:
 
 
 def _thresholds(detection: Detection, ground: Background, full_dn: float) -> FloatArray:
-    """Grey values at tile centres above which a pixel is lit. Raises FrameRefused where no highlight could stand out."""
+    """Grey values at tile centres above which a pixel is lit. Raises FrameRefused where none could stand out."""
     if ground.level_dn > OVERLIT_SHARE * full_dn:
         raise FrameRefused(
             Reason.FRAME_OVERLIT,
-            f"the frame is lit all over (median {ground.level_dn:.0f} of {full_dn:.0f} DN): shield it, lower the exposure",
+            f"the frame is lit all over (median {ground.level_dn:.0f} of {full_dn:.0f} DN): shield it, expose less",
         )
     if detection.threshold_dn is not None:
         return np.array([[detection.threshold_dn]])

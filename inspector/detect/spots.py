@@ -31,8 +31,9 @@ X, Y, COMPONENT, SATURATED_PX, NARROW_PX, LONGER_PX, COMPONENT_PX, COMPONENT_X, 
 class Spots:
     """Where to fit n spots: those with a saturated lobe first, then the local maxima.
 
-    ``table`` (n, 11): centre x, y px; component; clipped pixels; the lobe's lesser extent and how much it is taller than
-    wide; its component's pixels and their plain centroid, whether that touches the frame's edge; whether it is hot.
+    ``table`` (n, 11): centre x, y px; component; clipped pixels; the lobe's lesser extent and how much it is taller
+    than wide; its component's pixels and their plain centroid, whether that touches the frame's edge; whether it is
+    hot.
     ``bloom``: rows and columns from a clipped pixel to where its charge ran over, (0, 0) if it did not.
     """
 
