@@ -5,7 +5,8 @@
  */
 #include "_reflection.h"
 
-enum { LAMP_ROUNDS = 6 };      /* a near lamp is seen from the spot, which moves with the seed: each round wins two digits */
+enum { MOST_ROUNDS = 40 };      /* a near lamp is seen from the spot, which moves with the seed: each round wins a digit or two */
+static const double SETTLED_MM = 1e-11;
 static const double UP[3] = {0, 0, 1};
 
 static void unit(double v[3]) {
@@ -66,15 +67,15 @@ static void invert_3x3(const double m[9], double out[9]) {
     for (int k = 0; k < 9; k++) out[k] *= scale;
 }
 
-typedef struct {      /* one of the two spots: camera (mirrored for the mirror spot), ray, weight, and its two equations */
+typedef struct {      /* one spot: camera seen from `origin` (mirrored for the mirror spot), ray, weight, its two equations */
     double eye[3], along[3], across[2][3], reach, normal[3], rows[2][3], seen[2];
     const double *weight;
 } View;
 
 /* mm at the spot become pixels by its distance; where the ray meets the panel is near enough, and sets weights only. */
-static void look(const Scene *scene, const Ray *ray, const double *weight, int is_mirror, View *v) {
+static void look(const Scene *scene, const Ray *ray, const double *weight, const double *origin, int is_mirror, View *v) {
     for (int k = 0; k < 3; k++) {
-        v->eye[k] = scene->eye[k] * (is_mirror ? mirrored(k) : 1);
+        v->eye[k] = scene->eye[k] * (is_mirror ? mirrored(k) : 1) - origin[k];
         v->along[k] = ray->along[k] * (is_mirror ? mirrored(k) : 1);
     }
     v->reach = fmax(fabs(v->eye[2]) / fmax(fabs(v->along[2]), 1e-9), 1e-3);
@@ -86,9 +87,9 @@ static void look(const Scene *scene, const Ray *ray, const double *weight, int i
 }
 
 /* Add one spot's two equations in (X, Y, R) to the normal equations. */
-static void add_equations(const Scene *scene, View *v, double matrix[9], double right[3]) {
+static void add_equations(const Scene *scene, View *v, const double *origin, double matrix[9], double right[3]) {
     double spot[3], lever[3];
-    for (int k = 0; k < 3; k++) spot[k] = v->eye[k] + v->reach * v->along[k];
+    for (int k = 0; k < 3; k++) spot[k] = origin[k] + v->eye[k] + v->reach * v->along[k];
     toward_lamp(scene, spot, v->normal);
     for (int k = 0; k < 3; k++) v->normal[k] -= v->along[k];
     unit(v->normal);
@@ -112,21 +113,27 @@ static double chi2_of(const View *v, const double *theta) {
 void reflection_solve(const Scene *scene, const Ray *direct, const Ray *mirror, const double direct_weight[4],
                       const double mirror_weight[4], Seed *seed) {
     View views[2];
-    look(scene, direct, direct_weight, 0, &views[0]);
-    look(scene, mirror, mirror_weight, 1, &views[1]);
-    for (int round = 0; round < (scene->lamp_is_near ? LAMP_ROUNDS : 1); round++) {
+    double down = fmax(fabs(direct->along[2]), 1e-9), origin[3] = {0};      /* near the seed: its small radius is not lost */
+    for (int k = 0; k < 2; k++) origin[k] = scene->eye[k] + fabs(scene->eye[2]) / down * direct->along[k];
+    look(scene, direct, direct_weight, origin, 0, &views[0]);
+    look(scene, mirror, mirror_weight, origin, 1, &views[1]);
+    double moved = INFINITY;
+    for (int round = 0; round < (scene->lamp_is_near ? MOST_ROUNDS : 1) && moved > SETTLED_MM; round++) {
         double matrix[9] = {0}, right[3] = {0};
-        for (int s = 0; s < 2; s++) add_equations(scene, &views[s], matrix, right);
+        for (int s = 0; s < 2; s++) add_equations(scene, &views[s], origin, matrix, right);
         invert_3x3(matrix, seed->covariance);
         for (int k = 0; k < 3; k++) seed->theta[k] = dot(seed->covariance + 3 * k, right);
+        moved = 0;
         for (int s = 0; s < 2; s++) {
-            double way[3];      /* from the eye to the spot S + R n, S = (X, Y, R) */
+            double way[3], before = views[s].reach;      /* from the eye to the spot S + R n, S = (X, Y, R) */
             for (int k = 0; k < 3; k++)
                 way[k] = seed->theta[k] + seed->theta[2] * views[s].normal[k] - views[s].eye[k];
             views[s].reach = dot(way, views[s].along);
+            moved = fmax(moved, fabs(views[s].reach - before));
         }
     }
     seed->chi2 = chi2_of(&views[0], seed->theta) + chi2_of(&views[1], seed->theta);
+    for (int k = 0; k < 2; k++) seed->theta[k] += origin[k];
     for (int k = 0; k < 3; k++) seed->direct_normal[k] = views[0].normal[k], seed->mirror_normal[k] = views[1].normal[k];
 }
 

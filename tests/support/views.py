@@ -11,6 +11,9 @@ from inspector import reflection
 from inspector.model import FloatArray
 from inspector.optics import Calibration, Camera, Light
 
+GLARE_COSINE = np.cos(np.radians(25.0))
+"""Half of the field is 17 degrees at the most: nothing in it is nearer than 8 to the glare."""
+
 
 @dataclass(frozen=True)
 class View:
@@ -29,6 +32,12 @@ class View:
     lamp_azimuth_deg: float = 180.0
     lamp_mm: float | None = None
     mirrored: bool = False
+
+    @property
+    def glares(self) -> bool:
+        """Whether the paint mirrors the lamp towards the camera: the mirror spots are then not defined."""
+        mirrored_lamp = _toward(self.alpha_deg, self.azimuth_deg + self.lamp_azimuth_deg + 180)
+        return float(mirrored_lamp @ _toward(self.view_angle_deg, self.azimuth_deg)) > GLARE_COSINE
 
     @property
     def calibration(self) -> Calibration:
@@ -68,7 +77,7 @@ views = st.builds(
     lamp_azimuth_deg=st.floats(100, 260),
     lamp_mm=st.none() | st.floats(200, 800),
     mirrored=st.booleans(),
-)
+).filter(lambda view: not view.glares)
 """Cameras and lamps as they stand in practice, lamp roughly opposite the camera, any roll and handedness."""
 
 
