@@ -26,9 +26,9 @@ def percent(curve: Sequence[tuple[float, float]], level_v: float) -> float:
 def from_samples(samples: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
     """The curve of measured (level in volts, light): percent of the light at the highest level, against volts.
 
-    ``light`` is in any unit that is proportional to light, with its value at 0 V taken off. It begins at (0 %, 0 V);
-    levels below which a halogen lamp gives nothing drop out, since light must rise from pair to pair. Raises
-    ValueError that says why samples make no curve.
+    ``light`` is in any unit that is proportional to light, with its value at 0 V taken off. It begins at
+    (0 %, 0 V) and rises from pair to pair, also where a halogen lamp gives no light yet. Raises ValueError that says
+    why samples make no curve.
     """
     ordered = sorted(samples)
     if len(ordered) < 2 or ordered[0][0] != 0.0:
@@ -41,24 +41,22 @@ def from_samples(samples: Sequence[tuple[float, float]]) -> tuple[tuple[float, f
     return _rising([(100.0 * (light - dark) / (brightest - dark), level_v) for level_v, light in ordered])
 
 
-LEAST_RISE_PERCENT = 0.1
-"""Less than this from sample to sample is noise: near 0 V a halogen lamp gives no light, and percent must rise."""
+LEAST_RISE_PERCENT = 0.01
+"""Percent must rise from pair to pair. Where light does not, as near 0 V, it is taken to rise by so little."""
 
 MOST_FALL_PERCENT = 1.0
-"""A lamp that falls by more than this with a rising level was not steady: DCR II's own stability."""
+"""A lamp that falls by more than this with a rising level was not steady: the DCR II holds its light within 1 %."""
 
 
 def _rising(points: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
-    """The points without those that rise by less than noise; the last one stays. Raises ValueError if light falls."""
-    kept = [points[0]]
-    for share, level_v in points[1:]:
+    """The points with percent made to rise, from 0 to 100. Raises ValueError if light falls by more than noise."""
+    kept = [(0.0, points[0][1])]
+    for place, (share, level_v) in enumerate(points[1:], 1):
         if share < kept[-1][0] - MOST_FALL_PERCENT or share > 100.0 + MOST_FALL_PERCENT:
             raise ValueError(f"light is not steady or is clipped around {level_v:g} V: warm the lamp up, expose less")
-        if share >= kept[-1][0] + LEAST_RISE_PERCENT and share < 100.0:
-            kept.append((share, level_v))
-    if 100.0 - kept[-1][0] < LEAST_RISE_PERCENT and len(kept) > 1:
-        kept.pop()
-    return (*kept, points[-1])
+        most = 100.0 - (len(points) - 1 - place) * LEAST_RISE_PERCENT
+        kept.append((min(max(share, kept[-1][0] + LEAST_RISE_PERCENT), most), level_v))
+    return tuple(kept)
 
 
 def _interpolate(points: Sequence[tuple[float, float]], x: float) -> float:

@@ -108,7 +108,6 @@ def station(serve: Any, module_at: Any, caplog: pytest.LogCaptureFixture) -> Ite
 
     yield make
     for one in made:
-        one.server.fault = WireFault.SILENT  # nothing more to see: closing need not wait for a late answer
         one.keeper.close()
 
 
