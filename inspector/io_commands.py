@@ -198,8 +198,8 @@ def _print_table(title: str, headings: Sequence[str], table: Iterable[Sequence[s
     from rich.table import Table
 
     shown = Table(title=title, title_justify="left")
-    for heading in headings:
-        shown.add_column(heading)
+    for column, heading in enumerate(headings):
+        shown.add_column(heading, no_wrap=column == 0)
     for row in table:
         shown.add_row(*row)
     Console(width=None if sys.stdout.isatty() else PIPE_COLUMNS).print(shown)
