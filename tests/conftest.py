@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import subprocess
@@ -12,10 +13,18 @@ from threading import Event
 from typing import Any
 
 import pytest
+from hypothesis import settings
+
+# The same examples in every run: a measurement's tolerance is met or not. `--hypothesis-profile search` looks further.
+settings.register_profile("repeatable", derandomize=True, deadline=None)
+settings.register_profile("search", deadline=None)
+settings.load_profile("repeatable")
 
 DATA = Path(__file__).parent / "data"
 PEERS = Path(__file__).parent / "peers"
 PEER_MISSING = "peer missing"
+DEV_PACKAGES = {"libmodbus": "libmodbus-dev", "aravis-0.8": "libaravis-dev libusb-1.0-0-dev"}
+"""Where a library's headers are, by its pkg-config name."""
 
 
 @pytest.fixture(scope="session")
@@ -53,22 +62,42 @@ def peer() -> Callable[[str, str], str]:
 
 
 @pytest.fixture(scope="session")
-def compiled_peer(peer: Callable[[str, str], str], tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], str]:
-    """``compiled_peer(name)``: the path of ``peers/name.c``, compiled against libmodbus; skipped by name without it."""
+def compiled_peer(peer: Callable[[str, str], str], tmp_path_factory: pytest.TempPathFactory) -> Callable[..., str]:
+    """``compiled_peer(name, library="libmodbus")``: the path of ``peers/name.c``, compiled against a library (by its
+    pkg-config name); skipped by name without it."""
     folder = tmp_path_factory.mktemp("peers")
 
-    def compile_once(name: str) -> str:
-        compiler = peer("gcc", "gcc libc6-dev")
-        headers = Path("/usr/include/modbus")
-        if not headers.is_dir():
-            pytest.skip(f"{PEER_MISSING}: libmodbus (apt install libmodbus-dev)")
+    def compile_once(name: str, library: str = "libmodbus") -> str:
+        compiler, packages = peer("gcc", "gcc libc6-dev"), peer("pkg-config", "pkg-config")
+        flags = subprocess.run([packages, "--cflags", "--libs", library], capture_output=True, text=True, timeout=60)
+        if flags.returncode:
+            pytest.skip(f"{PEER_MISSING}: {library} (apt install {DEV_PACKAGES[library]})")
         program, source = folder / name, PEERS / f"{name}.c"
         if not program.exists():
-            command = [compiler, "-O2", "-Wall", "-Werror", f"-I{headers}", str(source), "-o", str(program), "-lmodbus"]
-            subprocess.run(command, check=True, timeout=60)
+            command = [compiler, "-O2", "-Wall", "-Werror", str(source), "-o", str(program), *flags.stdout.split()]
+            subprocess.run([*command, "-lm"], check=True, timeout=60)
         return str(program)
 
     return compile_once
+
+
+@pytest.fixture
+def gige_camera(compiled_peer: Any, frames_folder: Path, wait_until: Any, tmp_path: Path) -> Iterator[Any]:
+    """``gige_camera(features, lost)``: a GigE Vision camera on 127.0.0.1 that shows a frame; see support/gige.py."""
+    import gige
+
+    program = compiled_peer("gige_camera", "aravis-0.8")
+    with contextlib.ExitStack() as stack:
+        turn = stack.enter_context(gige.Turn())
+        wait_until(turn.taken, "the one port of GigE Vision is free", 100)
+
+        def start(features: str = "gige_camera.xml", lost: float = 0.0) -> gige.GigeCamera:
+            camera = gige.GigeCamera(program, frames_folder / "four_seeds.png", tmp_path, features, lost)
+            stack.callback(camera.kill)
+            camera.start()
+            return camera
+
+        yield start
 
 
 @pytest.hookimpl(wrapper=True)

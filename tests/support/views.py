@@ -14,6 +14,9 @@ from inspector.optics import Calibration, Camera, Light
 GLARE_COSINE = np.cos(np.radians(25.0))
 """Half of the field is 17 degrees at the most: nothing in it is nearer than 8 to the glare."""
 
+LARGEST_RADIUS_MM = 4.0
+"""The thesis' largest seed has 3.75 mm."""
+
 
 @dataclass(frozen=True)
 class View:
@@ -75,7 +78,7 @@ views = st.builds(
     kappa1_per_mm2=st.floats(-8e-3, 1e-2),
     alpha_deg=st.floats(15, 60),
     lamp_azimuth_deg=st.floats(100, 260),
-    lamp_mm=st.none() | st.floats(200, 800),
+    lamp_mm=st.none() | st.floats(250, 800),
     mirrored=st.booleans(),
 ).filter(lambda view: not view.glares)
 """Cameras and lamps as they stand in practice, lamp roughly opposite the camera, any roll and handedness."""
@@ -84,12 +87,12 @@ views = st.builds(
 def seeds_at(
     xy_px: FloatArray, spacing_px: FloatArray | float, calibration: Calibration, sunk: FloatArray | float = 1.0
 ) -> FloatArray:
-    """Seeds (n, 4) with feet at pixels (n, 2), spots about ``spacing_px`` apart, and centres at ``sunk`` R."""
+    """Seeds (n, 4) with feet at pixels (n, 2), spots about ``spacing_px`` apart or less, and centres at ``sunk`` R."""
     foot = calibration.camera.back_project(xy_px)
     small = np.full(len(foot), 1e-3)
     direct, mirror = reflection.highlights(np.column_stack([foot, small, small]), calibration)
     per_mm = np.hypot(*(mirror - direct).T) / small
-    radius = spacing_px / per_mm
+    radius = np.minimum(spacing_px / per_mm, LARGEST_RADIUS_MM)
     return np.column_stack([foot, radius, sunk * radius])
 
 
