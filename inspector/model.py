@@ -105,7 +105,8 @@ class Highlights:
     ``xy_px`` (n, 2); ``covariance_px2`` (n, 2, 2) of the centroid; ``flux_dn`` (n,) sum over the local background,
     with ``flux_sigma`` (n,) the standard deviation of its logarithm;
     ``peak_dn`` (n,) largest grey value over the background; ``area_px`` (n,); ``flags`` (n,) of :class:`Flag`.
-    ``binary_px`` (n, 2) is the plain centroid of the lit pixels of the spot's component, as the thesis took it.
+    ``binary_px`` (n, 2) is the plain centroid of the lit pixels of the spot's component, as the thesis took it;
+    ``blur_px2`` (n, 3) the covariance xx, xy, yy of the spot's own shape.
     """
 
     xy_px: FloatArray
@@ -116,6 +117,7 @@ class Highlights:
     area_px: IntArray
     flags: IntArray
     binary_px: FloatArray
+    blur_px2: FloatArray
     threshold_dn: float = 0.0
     background_dn: float = 0.0
     noise_dn: float = 0.0

@@ -284,7 +284,7 @@ static double fit_round(const Work *w, const Rules *u, const i64 *centre, const 
 
 /* Columns of what the fit found of a spot; fit.py reads them by the same numbers. */
 enum { FOUND_X, FOUND_Y, VARIANCE_X, COVARIANCE_XY, VARIANCE_Y, PEAK, FLUX, BLUR2, CHI2, MISFIT_X, MISFIT_Y, MISFIT_SIGMA,
-       GROUND, FOUND };
+       GROUND, BLUR_XX, BLUR_XY, BLUR_YY, FOUND };
 
 /* What the fit found of spot i: chi2 is per degree of freedom, the misfit where the data exceed the model most. */
 static void report(const Work *w, i64 i, const i64 *centre, const double *t, const double *normal, double *found) {
@@ -307,6 +307,7 @@ static void report(const Work *w, i64 i, const i64 *centre, const double *t, con
     found[CHI2] = sum / (double)(used > PARAMETERS + 1 ? used - PARAMETERS : 1);
     found[MISFIT_X] = (double)centre[0] + w->dx[where], found[MISFIT_Y] = (double)centre[1] + w->dy[where];
     found[MISFIT_SIGMA] = isfinite(worst) ? worst : 0;
+    found[BLUR_XX] = t[SXX], found[BLUR_XY] = t[SXY], found[BLUR_YY] = t[SYY];
 }
 
 static double *take(double **pool, i64 count) { double *p = *pool; *pool += count; return p; }

@@ -20,9 +20,8 @@ from inspector.detect import kernel
 from inspector.model import FloatArray, Image
 from inspector.optics import Sensor
 
-X, Y, VARIANCE_X, COVARIANCE_XY, VARIANCE_Y, PEAK, FLUX, BLUR2, CHI2, MISFIT_X, MISFIT_Y, MISFIT_SIGMA, GROUND = range(
-    13
-)
+X, Y, VARIANCE_X, COVARIANCE_XY, VARIANCE_Y, PEAK, FLUX, BLUR2, CHI2 = range(9)
+MISFIT_X, MISFIT_Y, MISFIT_SIGMA, GROUND, BLUR_XX, BLUR_XY, BLUR_YY = range(9, 16)
 """Columns of what the fit found, as `_fit.c` numbers them."""
 WINDOW_RADIUS_PX = (4.0, 12.0)
 """Radius of the fit's windows, least and most: the spot and two pixels of background around it."""
@@ -101,7 +100,7 @@ class Response:
 
 @dataclass(frozen=True)
 class Fitted:
-    """What the fit found of n spots, ``table`` (n, 13): the columns above, lengths in px, light in DN."""
+    """What the fit found of n spots, ``table`` (n, 16): the columns above, lengths in px, light in DN."""
 
     table: FloatArray
 

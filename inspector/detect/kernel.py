@@ -18,7 +18,7 @@ _detect = native.function(_MODULE, "kernel_detect", "ppiiiddipppppippp")
 _fit = native.function(_MODULE, "kernel_fit", "ppippp")
 _bloom_fit = native.function(_MODULE, "bloom_fit", "iiippddippippp")
 
-SPOT_COLUMNS, FOUND_COLUMNS = 11, 13
+SPOT_COLUMNS, FOUND_COLUMNS = 11, 16
 """Columns of the tables that `kernel_detect` and `kernel_fit` fill; the C files number them."""
 LIT_ROOM, SPOT_ROOM = 4096, 256
 """Room for lit pixels and spots at first; a fuller frame is gone through again with as much as it needs."""
@@ -97,7 +97,7 @@ def components(rows: IntArray, columns: IntArray) -> IntArray:
 
 
 def fit(image: Image, rules: bytes, spots: FloatArray, typical: bytes) -> FloatArray:
-    """Fit n spots given as rows (n, 6); what was found (n, 13). See fit.py. Raises MemoryError."""
+    """Fit n spots given as rows (n, 6); what was found (n, 16). See fit.py. Raises MemoryError."""
     n = len(spots)
     found = np.empty((n, FOUND_COLUMNS))
     if _fit(_packed_image(image), rules, n, spots.tobytes(), typical, out(found)) < 0:

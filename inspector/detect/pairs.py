@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from inspector import native, reflection
 from inspector.detect.matching import best_matching
@@ -45,6 +46,14 @@ PAINT_INDEX = 1.5
 
 UNABLE = int(Flag.HOT_PIXEL | Flag.TOO_SMALL | Flag.TOO_LARGE)
 """Spots with one of these flags make no pair."""
+NO_SEED = int(Flag.HOT_PIXEL | Flag.TOO_SMALL | Flag.TOO_LARGE)
+"""What has one of these flags is no seed's spot."""
+PROBE_RADIUS_MM = 0.5
+"""A lone spot whose other one would lie outside the frame for a seed of this radius may be one that is cut off."""
+DRAWN_OUT = 1.6
+"""A lone spot longer than wide by this ratio of variances, the way a seed's two lie, is two that merged."""
+POOL_BESIDE_PX = 1.0
+"""How far beside a pair's line a paint pool's spot may lie, with BEND_SHARE of its length."""
 NO_DUST = int(Flag.HOT_PIXEL | Flag.AT_EDGE)
 """What fits nothing and has one of these flags is not called dust."""
 COUPLES_A_SPOT = 16
@@ -101,7 +110,7 @@ def pair(spots: Highlights, calibration: Calibration) -> HighlightPairs:
     left[direct] = left[mirror] = False
     unpaired = left.nonzero()[0]
     flags = spots.flags[direct] | spots.flags[mirror]
-    why = _unpaired_flags(spots.flags[unpaired], unpaired, found, chosen)
+    why = _unpaired_flags(spots, unpaired, found, chosen, calibration)
     return HighlightPairs(direct, mirror, unpaired, flags, why, rays)
 
 
@@ -160,21 +169,57 @@ def _outermost(found: Candidates, chosen: list[int]) -> list[int]:
     return list(best.values())
 
 
-def _unpaired_flags(flags: IntArray, unpaired: IntArray, found: Candidates, chosen: list[int]) -> IntArray:
-    """What each spot (m,) that is left over may be: a paint pool, a seed whose other spot is used or unseen, dust.
-
-    ``flags`` (m,) are those it has already.
-    """
-    partner = {found.direct[k]: found.mirror[k] for k in chosen}
+def _unpaired_flags(
+    spots: Highlights, unpaired: IntArray, found: Candidates, chosen: list[int], calibration: Calibration
+) -> IntArray:
+    """What each spot (m,) that is left over may be: a paint pool, a seed whose other spot is used or unseen, dust."""
+    if len(unpaired) == 0:
+        return np.empty(0, np.intp)
+    pool = _between(spots.xy_px, unpaired, found, chosen)
+    drawn_out, leaves = _alone(spots, unpaired, calibration)
     result = []
-    for spot, flag in zip(unpaired.tolist(), flags.tolist(), strict=True):
-        before = [found.direct[k] for k in found.of_mirror.get(spot, ())]
-        after = {found.mirror[k] for k in found.of_direct.get(spot, ())}
-        if any(partner.get(d) in after for d in before):
+    for n, (spot, flag) in enumerate(zip(unpaired.tolist(), spots.flags[unpaired].tolist(), strict=True)):
+        if pool[n]:
             flag |= int(Flag.PAINT_POOL)
-        elif before or after:
+        elif found.of_mirror.get(spot) or found.of_direct.get(spot):
             flag |= int(Flag.AMBIGUOUS)
+        elif drawn_out[n] and not flag & NO_SEED:
+            flag |= int(Flag.MERGED)
+        elif leaves[n] and not flag & NO_SEED:
+            flag |= int(Flag.PARTNER_OUTSIDE_FRAME)
         elif not flag & NO_DUST:
             flag |= int(Flag.DUST)
         result.append(flag)
     return np.array(result, np.intp)
+
+
+def _between(xy_px: FloatArray, unpaired: IntArray, found: Candidates, chosen: list[int]) -> npt.NDArray[np.bool_]:
+    """Which spots (m,) lie between the two of a pair, and nearly in line with them."""
+    if not chosen:
+        return np.zeros(len(unpaired), np.bool_)
+    direct, mirror = (xy_px[[ends[k] for k in chosen]] for ends in (found.direct, found.mirror))
+    span = mirror - direct
+    length = np.hypot(span[:, 0], span[:, 1])
+    off = xy_px[unpaired][:, None] - direct
+    along = (off * span).sum(axis=2) / length**2
+    beside = np.abs(off[:, :, 0] * span[:, 1] - off[:, :, 1] * span[:, 0]) / length
+    return np.asarray(((along > 0.1) & (along < 1.2) & (beside < POOL_BESIDE_PX + BEND_SHARE * length)).any(axis=1))
+
+
+def _alone(
+    spots: Highlights, unpaired: IntArray, calibration: Calibration
+) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Which spots (m,) are drawn out the way a seed's two lie, and which have no room beside them for the other."""
+    xy, camera = spots.xy_px[unpaired], calibration.camera
+    foot, radius = camera.back_project(xy), np.full((len(unpaired), 1), PROBE_RADIUS_MM)
+    direct, mirror = reflection.highlights(np.hstack([foot, radius, radius]), calibration)
+    step = mirror - direct
+    way = step / np.hypot(step[:, 0], step[:, 1])[:, None]
+    xx, xy2, yy = spots.blur_px2[unpaired].T
+    along = way[:, 0] ** 2 * xx + 2 * way[:, 0] * way[:, 1] * xy2 + way[:, 1] ** 2 * yy
+    drawn_out = along > DRAWN_OUT * (xx + yy - along)
+    frame = np.array([camera.width_px, camera.height_px]) - 0.5
+    leaves = np.zeros(len(unpaired), np.bool_)
+    for end in (xy + step, xy - step):
+        leaves |= ((end < -0.5) | (end > frame)).any(axis=1)
+    return np.asarray(drawn_out), leaves
