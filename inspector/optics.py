@@ -168,9 +168,9 @@ class Sensor:
     saturation_dn: float = 255.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Calibration:
-    """One station's geometry: all that turns two pixels into a height.
+    """One station's geometry: all that turns two pixels into a height. Two are the same only if they are one object.
 
     ``view_angle_deg`` is the nominal beta that only the thesis' method uses; ``height_gain`` multiplies heights
     (fitted from measured samples); ``covariance`` is the camera parameters' own (p, p) with ``covariance_of`` naming

@@ -16,8 +16,8 @@ from inspector import reflection
 from inspector.model import FloatArray
 from inspector.optics import PARAMETERS, Calibration
 
-ROWS, COLUMNS = 7, 9
-"""The grid of probes: half as many change no share by more than 2 % of itself."""
+ROWS, COLUMNS = 13, 17
+"""The grid of probes: fine enough but where the paint mirrors the lamp right into the camera."""
 PROBE_RADIUS_MM = 1.0
 STEP_SIGMAS = 0.1
 """Parameters are moved by this many of their standard deviations, both ways."""
