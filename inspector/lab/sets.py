@@ -91,7 +91,7 @@ def stations() -> dict[str, Station]:
     large = camera(55, 350, 0.12, 12.0, 180.0, 90.0, 0.0006, (1280, 1024), (150.0, -40.0))
     steep = camera(47, 200, 0.2, 8.0, 75.0, -30.0, -0.002)
     flat = camera(75, 500, 0.2, 25.0, -90.0, 180.0)
-    wide = camera(65, 160, 0.3, 8.0, -80.0, 0.0, -0.003)
+    wide = camera(55, 160, 0.25, 8.0, -80.0, 0.0, -0.003)
     return {
         "thesis": Station(THESIS_CAMERA, lamp(THESIS_CAMERA, 30)),
         "near": Station(near, lamp(near, 30)),
@@ -100,7 +100,7 @@ def stations() -> dict[str, Station]:
         "large": Station(large, lamp(large, 22, swing_deg=-30, sigma_deg=2.5)),
         "steep": Station(steep, lamp(steep, 15, swing_deg=10)),
         "flat": Station(flat, lamp(flat, 15, swing_deg=30)),
-        "wide": Station(wide, lamp(wide, 25)),
+        "wide": Station(wide, lamp(wide, 20)),
         "lamp_near": Station(upright, lamp(upright, 30, swing_deg=-10, distance_mm=250)),
         "lamp_far": Station(near, lamp(near, 30, swing_deg=20, distance_mm=700)),
     }
@@ -200,11 +200,11 @@ def _seeds(kind: str, random: np.random.Generator, station: Station) -> tuple[Se
 def _seed(kind: str, random: np.random.Generator, station: Station, at_px: FloatArray) -> Seed:
     x, y, _ = at = _panel_point(station.camera, at_px)
     pixel_mm = mm_per_px(station.camera, at)
-    highest = {"A": 27.0, "B": 11.0, "D": 14.0, "F": 10.0}[kind]
-    height = pixel_mm * float(np.exp(random.uniform(np.log(3.6), np.log(highest))))
+    lowest, highest = {"A": (3.6, 27.0), "B": (3.6, 11.0), "D": (3.6, 14.0), "F": (5.0, 14.0)}[kind]
+    height = pixel_mm * float(np.exp(random.uniform(np.log(lowest), np.log(highest))))
     sunk = float(random.uniform(0.3, 0.98)) if kind == "D" or (kind == "B" and random.random() < 0.15) else 1.0
     radius = height / (1 + sunk)
-    fillet = radius * float(random.uniform(0.8, 1.8)) if kind == "F" else None
+    fillet = radius * float(random.uniform(1.2, 1.7)) if kind == "F" else None
     return Seed(float(x), float(y), radius, sunk * radius, fillet)
 
 
