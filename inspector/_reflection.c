@@ -56,6 +56,10 @@ void reflection_direction(const Scene *scene, const Ray *ray, double toward[2]) 
     for (int m = 0; m < 2; m++) toward[m] = dot(ray->across[m], apart) / reach;
 }
 
+void reflection_directions(const Scene *scene, i64 n, const Ray *rays, double *toward) {
+    for (i64 i = 0; i < n; i++) reflection_direction(scene, rays + i, toward + 2 * i);
+}
+
 /* Inverse of a symmetric 3 x 3 matrix by cofactors. */
 static void invert_3x3(const double m[9], double out[9]) {
     double a = m[0], b = m[1], c = m[2], d = m[4], e = m[5], f = m[8];

@@ -32,6 +32,7 @@ RAY, _SEED = 9, 19
 """Doubles in a `Ray` and a `Seed` of `_reflection.h`."""
 _SCENE = struct.Struct("6dq")
 _rays = native.function("inspector._reflection", "reflection_rays", "ipdp")
+_directions = native.function("inspector._reflection", "reflection_directions", "pipp")
 _seeds = native.function("inspector._reflection", "reflection_seeds", "pippppp")
 
 
@@ -77,6 +78,17 @@ def scene(calibration: Calibration) -> bytes:
     lamp = light.direction if light.position_mm is None else light.position_mm
     assert lamp is not None
     return _SCENE.pack(*calibration.camera.centre_mm, *lamp, light.position_mm is not None)
+
+
+def directions(found: FloatArray, calibration: Calibration) -> FloatArray:
+    """Pixels (n, 2) from direct to mirror spot of a small seed at each ray's foot, per mm of radius.
+
+    ``found`` (n, 9) are :func:`rays`. In the limit of small R both rays go to the foot F: P = F + R (z + n), and the
+    mirrored P* = F - R (z + n* mirrored). NaN where a ray does not meet the panel.
+    """
+    toward = np.empty((len(found), 2))
+    _directions(scene(calibration), len(found), found.tobytes(), out(toward))
+    return toward
 
 
 @dataclass(frozen=True)

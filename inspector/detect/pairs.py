@@ -110,7 +110,7 @@ def pair(spots: Highlights, calibration: Calibration) -> HighlightPairs:
     left[direct] = left[mirror] = False
     unpaired = left.nonzero()[0]
     flags = spots.flags[direct] | spots.flags[mirror]
-    why = _unpaired_flags(spots, unpaired, found, chosen, calibration)
+    why = _unpaired_flags(spots, rays, unpaired, found, chosen, calibration)
     return HighlightPairs(direct, mirror, unpaired, flags, why, rays)
 
 
@@ -170,27 +170,24 @@ def _outermost(found: Candidates, chosen: list[int]) -> list[int]:
 
 
 def _unpaired_flags(
-    spots: Highlights, unpaired: IntArray, found: Candidates, chosen: list[int], calibration: Calibration
+    spots: Highlights,
+    rays: FloatArray,
+    unpaired: IntArray,
+    found: Candidates,
+    chosen: list[int],
+    calibration: Calibration,
 ) -> IntArray:
     """What each spot (m,) that is left over may be: a paint pool, a seed whose other spot is used or unseen, dust."""
+    flags = spots.flags[unpaired]
     if len(unpaired) == 0:
-        return np.empty(0, np.intp)
+        return flags
     pool = _between(spots.xy_px, unpaired, found, chosen)
-    drawn_out, leaves = _alone(spots, unpaired, calibration)
-    result = []
-    for n, (spot, flag) in enumerate(zip(unpaired.tolist(), spots.flags[unpaired].tolist(), strict=True)):
-        if pool[n]:
-            flag |= int(Flag.PAINT_POOL)
-        elif found.of_mirror.get(spot) or found.of_direct.get(spot):
-            flag |= int(Flag.AMBIGUOUS)
-        elif drawn_out[n] and not flag & NO_SEED:
-            flag |= int(Flag.MERGED)
-        elif leaves[n] and not flag & NO_SEED:
-            flag |= int(Flag.PARTNER_OUTSIDE_FRAME)
-        elif not flag & NO_DUST:
-            flag |= int(Flag.DUST)
-        result.append(flag)
-    return np.array(result, np.intp)
+    fits = np.array([k in found.of_mirror or k in found.of_direct for k in unpaired.tolist()])
+    drawn_out, leaves = _alone(spots.xy_px[unpaired], spots.blur_px2[unpaired], rays[unpaired], calibration)
+    seed, dust = flags & NO_SEED == 0, flags & NO_DUST == 0
+    rules = [pool, fits, seed & drawn_out, seed & leaves, dust]
+    whats = [Flag.PAINT_POOL, Flag.AMBIGUOUS, Flag.MERGED, Flag.PARTNER_OUTSIDE_FRAME, Flag.DUST]
+    return np.asarray(flags | np.select(rules, [int(flag) for flag in whats], 0))
 
 
 def _between(xy_px: FloatArray, unpaired: IntArray, found: Candidates, chosen: list[int]) -> npt.NDArray[np.bool_]:
@@ -207,19 +204,14 @@ def _between(xy_px: FloatArray, unpaired: IntArray, found: Candidates, chosen: l
 
 
 def _alone(
-    spots: Highlights, unpaired: IntArray, calibration: Calibration
+    xy_px: FloatArray, blur_px2: FloatArray, rays: FloatArray, calibration: Calibration
 ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
     """Which spots (m,) are drawn out the way a seed's two lie, and which have no room beside them for the other."""
-    xy, camera = spots.xy_px[unpaired], calibration.camera
-    foot, radius = camera.back_project(xy), np.full((len(unpaired), 1), PROBE_RADIUS_MM)
-    direct, mirror = reflection.highlights(np.hstack([foot, radius, radius]), calibration)
-    step = mirror - direct
-    way = step / np.hypot(step[:, 0], step[:, 1])[:, None]
-    xx, xy2, yy = spots.blur_px2[unpaired].T
-    along = way[:, 0] ** 2 * xx + 2 * way[:, 0] * way[:, 1] * xy2 + way[:, 1] ** 2 * yy
-    drawn_out = along > DRAWN_OUT * (xx + yy - along)
-    frame = np.array([camera.width_px, camera.height_px]) - 0.5
-    leaves = np.zeros(len(unpaired), np.bool_)
-    for end in (xy + step, xy - step):
-        leaves |= ((end < -0.5) | (end > frame)).any(axis=1)
-    return np.asarray(drawn_out), leaves
+    step = PROBE_RADIUS_MM * reflection.directions(rays, calibration)
+    x, y = (step / np.hypot(step[:, 0], step[:, 1])[:, None]).T
+    xx, xy, yy = blur_px2.T
+    along = x * x * xx + 2 * x * y * xy + y * y * yy
+    ends = np.stack([xy_px + step, xy_px - step])
+    frame = np.array([calibration.camera.width_px, calibration.camera.height_px]) - 0.5
+    leaves = ((ends < -0.5) | (ends > frame)).any(axis=(0, 2))
+    return np.asarray(along > DRAWN_OUT * (xx + yy - along)), np.asarray(leaves)
