@@ -16,6 +16,8 @@ from inspector.recipe import Strict
 
 SETTLED = 0.002
 """A patch within this share of its target is left alone: the level's own steps are of this size."""
+LEAST_SHARE = 0.01
+"""Less of the target than this says no more about how much is missing."""
 LONGEST_STEP_S = 60.0
 """After a longer pause the level moves as after this one: what the light did meanwhile is not known."""
 
@@ -83,7 +85,7 @@ def trimmed(
     step = settings.trim_percent_per_minute * elapsed_s / 60
     if not mean_dn > 0 or abs(mean_dn / target_dn - 1) <= SETTLED:
         return replace(trim, at_s=now_s)
-    missing = level_percent * (target_dn / mean_dn - 1)
+    missing = level_percent * (target_dn / max(mean_dn, LEAST_SHARE * target_dn) - 1)
     limit = settings.trim_limit_percent
     return Trim(min(max(trim.percent + min(max(missing, -step), step), -limit), limit), now_s)
 
