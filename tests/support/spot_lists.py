@@ -27,6 +27,7 @@ def spots_at(xy_px: FloatArray, flux_dn: FloatArray | float, sigma_px: float = 0
         area_px=np.full(n, 9, np.intp),
         flags=np.zeros(n, np.intp),
         binary_px=xy_px.astype(np.float64),
+        blur_px2=np.tile([0.5, 0.0, 0.5], (n, 1)),
     )
 
 
