@@ -188,7 +188,7 @@ def load(path: Path) -> Settings:
         problems += tuple(_joint_problems(document, document.data, path.parent))
         problems += tuple(_port_problems(document, settings.model_dump() if settings else document.data))
     if settings:
-        problems += tuple(_pace_problems(document, settings))
+        problems += (*_pace_problems(document, settings), *_trigger_problems(document, settings))
     if settings is None or problems:
         raise SettingsError(problems)
     return settings.under(path.parent)
@@ -264,6 +264,16 @@ def _pace_problems(document: Document, settings: Settings) -> Iterator[Problem]:
             f"allowed: more than {longest_s:g}, for which a cycle may wait (camera.deadline_s + module.deadline_s)"
         )
         yield document.problem(("module", "watchdog_s"), watchdog_s, allowed)
+
+
+def _trigger_problems(document: Document, settings: Settings) -> Iterator[Problem]:
+    """A trigger on an input that the module has not would never come."""
+    trigger, bank = settings.cycle.trigger, settings.module.profile_row.digital_inputs
+    count = bank.count if bank else 0
+    if isinstance(trigger, DigitalInput) and trigger.channel >= count:
+        allowed = f"0 to {count - 1}" if count else "none: choose another trigger or module"
+        what = f"{settings.module.profile} has {count} digital inputs; allowed: {allowed}"
+        yield document.problem(("cycle", "trigger", "channel"), trigger.channel, what)
 
 
 def _port_problems(document: Document, data: object) -> Iterator[Problem]:

@@ -27,7 +27,7 @@ from firmware_bridge.wire.module_setup import Safety
 from firmware_bridge.wire.profiles import PROFILES
 from inspector.acquire.keeper import Keeper, Retry
 
-SEQUENCES = int(os.environ.get("FAULT_SEQUENCES", "150"))
+SEQUENCES = int(os.environ.get("FAULT_SEQUENCES", "100"))
 UNIT, CHANNEL, DEADLINE_S, WATCHDOG_S = 3, 0, 0.5, 4.0
 LAMP = LampSettings()
 LONGEST_RETRY_S = 2.0

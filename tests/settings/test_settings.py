@@ -80,6 +80,25 @@ def test_a_right_file_is_settings_with_its_paths_ready(write: Write, tmp_path: P
             {"cycle": {"trigger": {"kind": "timed", "rate_hz": 0}}},
             "cycle.trigger.rate_hz: 0: allowed: a number above 0",
         ),
+        (
+            {"module": {"profile": "tm-da1p1r1", "link": {"kind": "simulated"}, "watchdog_s": 0.5}},
+            "module.watchdog_s: 0.5: allowed: more than",
+        ),
+        (
+            {"module": {"profile": "ato-4ch", "link": {"kind": "simulated"}, "power_on_v": 0.5}},
+            "module.power_on_v: 0.5: ato-4ch takes its power-on value from its maker's tool only",
+        ),
+        (
+            {"cycle": {"trigger": {"kind": "digital_input"}}},
+            "cycle.trigger.channel: 0: ato-4ch has 0 digital inputs; allowed: none: choose another trigger",
+        ),
+        (
+            {
+                "cycle": {"trigger": {"kind": "digital_input", "channel": 4}},
+                "module": {"profile": "adam-4024", "link": {"kind": "simulated"}},
+            },
+            "cycle.trigger.channel: 4: adam-4024 has 4 digital inputs; allowed: 0 to 3",
+        ),
         ({"calibration": "none.yaml"}, "calibration: 'none.yaml': "),
         ({"calibration": 7}, "calibration: 7: allowed: a text"),
         ({"plc": {"host": "10.0.0.3", "port": 502}}, "plc.port: 502: already used by module.link.port"),
