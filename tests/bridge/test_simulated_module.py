@@ -85,7 +85,24 @@ def test_the_name_of_its_successor_is_left_alone(started: Any, tmp_path: Path) -
     assert os.readlink(link) == address
 
 
-@pytest.mark.parametrize("options", [("--profile", "none"), ("--profile", "ato-4ch", "--unit", "0"), ()])
+def test_what_is_wrong_with_a_module_can_be_asked_for(started: Any, module_at: Any) -> None:
+    _, address = started("--profile", "tm-da1p1r1", "--unit", "3", "--tripped", "--stuck")
+    driver = module_at("tm-da1p1r1", address, deadline_s=10.0)
+    driver.connect()
+    with pytest.raises(errors.WatchdogTripped):
+        driver.check_trip()
+    driver.open()
+    driver.write_volts(0, 4.0)
+    assert driver.read_volts(0) == 0.0
+    _, silent = started("--profile", "adam-4021", "--unit", "3", "--ascii")
+    with pytest.raises(errors.NoReply, match="speaking ASCII"):
+        module_at("adam-4021", silent, deadline_s=0.3).open()
+
+
+@pytest.mark.parametrize("options", [
+    ("--profile", "none"), ("--profile", "ato-4ch", "--unit", "0"), (), ("--profile", "ato-4ch", "--tripped"),
+    ("--profile", "iologik-e1241", "--ascii"),
+])  # fmt: skip
 def test_wrong_options_are_refused(options: tuple[str, ...]) -> None:
     refused = subprocess.run([*COMMANDS["module"], *options], capture_output=True, text=True, timeout=60)
     assert refused.returncode == 2
