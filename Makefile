@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PYTEST_ARGS ?=
 
-.PHONY: help setup demo test lint check docs lock clean
+.PHONY: help setup demo test soak lint check docs lock clean
 
 help:  ## Show the targets.
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
@@ -22,6 +22,10 @@ lint: setup  ## Style, types and import rules.
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+soak: setup  ## Pass the tests that take minutes: long runs, with devices that come and go.
+	$(BIN)/pytest -m long $(PYTEST_ARGS)
+	FAULT_SEQUENCES=10000 RANDOM_STREAMS=200000 $(BIN)/pytest tests/bridge/test_fault_sequences.py tests/bridge/test_random_streams.py
 
 check: lint test  ## All that CI runs.
 

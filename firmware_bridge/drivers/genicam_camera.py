@@ -70,12 +70,12 @@ class GenicamCamera:
             what = f"{MOST_LOST} lost connections are still being given up"
             raise DeviceGone(self._device, what, "this takes up to 15 s; see why the camera comes and goes")
         self._link, self._worker = AravisCamera(self._device), Worker("genicam")
-        self._camera_id, self._camera_time_ns, self._out_of_step = None, 0, False
+        self._camera_time_ns = 0
         try:
             self._serial = self._ask(lambda link: link.open(self._name), self._deadline_s)
             self._capabilities = self._ask(lambda link: set_up(link, self._wanted, self._device), self._deadline_s)
             self._exposure_us = self._ask(_read_exposure)
-            self._ask(lambda link: link.start(self._wanted.packet_size_bytes), self._deadline_s)
+            self._start()
         except BridgeError:
             self.close()
             raise
@@ -132,23 +132,28 @@ class GenicamCamera:
         while (received := self._ask(lambda link: link.pop(LOOK_S), LOOK_S + self._command_deadline_s)) is None:
             if time.monotonic() >= end_s:
                 self._out_of_step = True
-                raise NoReply(self._device, f"no frame in {self._deadline_s:g} s", "check the trigger and its wiring")
+                remedy = "check the trigger's wiring, and that no firewall keeps its frames out"
+                raise NoReply(self._device, f"no frame in {self._deadline_s:g} s", remedy)
             self._ask(AravisCamera.check_alive)
         return self._frame(received)
 
     def _begin(self) -> None:
         """Leave no old frame to be taken for a new one; one that was given up may still have come."""
         if self._out_of_step:
-            self._ask(AravisCamera.restart)
-            self._out_of_step, self._camera_id = False, None
+            self._start()
         software = self._wanted.trigger == SOFTWARE
         self._ask(AravisCamera.drain_and_trigger if software else AravisCamera.drain)
+
+    def _start(self) -> None:
+        """Let frames come that begin from now on."""
+        self._ask(lambda link: link.start(self._wanted.packet_size_bytes), self._deadline_s)
+        self._out_of_step, self._camera_id = False, None
 
     def _frame(self, received: Received) -> CameraFrame:
         self._count(received)
         name = f"{self._serial}#{self._frame_id}"
         if received.status != "complete":
-            remedy = "check the cable, the switch and packet_size_bytes; free the network of other traffic"
+            remedy = "check cable, switch and packet_size_bytes, and set sysctl net.core.rmem_max above a frame's bytes"
             raise ReplyWrong(self._device, f"frame {name} is damaged: {received.status}", remedy)
         try:
             image = pixel_formats.unpack(received.pixel_code, received.data, received.width_px, received.height_px)

@@ -87,10 +87,11 @@ def _set_gain(camera: AravisCamera, gain_db: float | None, device: str) -> None:
 
 def _set_region(camera: AravisCamera, wanted: Region | None, device: str) -> Region:
     camera.call("set_region", 0, 0, -1, -1)  # how wide and high it may be depends on the offsets
-    if wanted is None:
-        _, width_px = camera.integers("get_width_bounds")
-        _, height_px = camera.integers("get_height_bounds")
-        wanted = Region(0, 0, width_px, height_px)
+    _, width_px = camera.integers("get_width_bounds")
+    _, height_px = camera.integers("get_height_bounds")
+    wanted = wanted or Region(0, 0, width_px, height_px)
+    if wanted.x_px + wanted.width_px > width_px or wanted.y_px + wanted.height_px > height_px:
+        raise OutOfRange(device, f"{wanted} ends outside the sensor's {width_px} x {height_px}", "choose a smaller roi")
     camera.call("set_region", wanted.x_px, wanted.y_px, wanted.width_px, wanted.height_px)
     found = Region(*camera.integers("get_region", 4))
     _check(device, "region", wanted, found)

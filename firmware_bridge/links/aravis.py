@@ -75,15 +75,20 @@ class AravisCamera:
 
     def close(self) -> None:
         """Stop, and give control and memory back. May be called at any time, and twice."""
-        library, stream, camera = self._library, self._stream, self._camera
-        if library is None or camera is None:
+        if self._library is None or self._camera is None:
             return
+        with contextlib.suppress(BridgeError):
+            self._stop()
+        self._library.call("g_object_unref", self._camera)
+        self._camera = None
+
+    def _stop(self) -> None:
+        stream, self._stream = self._stream, None
         if stream is not None:
-            with contextlib.suppress(BridgeError):
+            try:
                 self.call("stop_acquisition")
-            library.call("g_object_unref", stream)
-        library.call("g_object_unref", camera)
-        self._stream = self._camera = None
+            finally:
+                self._opened().call("g_object_unref", stream)
 
     def _opened(self) -> Library:
         if self._library is None:
@@ -122,7 +127,11 @@ class AravisCamera:
         return texts
 
     def start(self, packet_size_bytes: int | None) -> None:
-        """Let frames come; None: packets as large as the network lets through, which is tried out."""
+        """Let frames come, none from before; None: packets as large as the network lets through, which is tried out.
+
+        When they came already, it is by a new port: what is still on its way to the old one is lost.
+        """
+        self._stop()
         if packet_size_bytes is not None and self.call("is_gv_device"):
             self.call("gv_set_packet_size_adjustment", _ADJUST_NEVER)
             self.call("gv_set_packet_size", packet_size_bytes)
@@ -131,12 +140,6 @@ class AravisCamera:
         payload_bytes = self.call("get_payload")
         for _ in range(BUFFERS):
             library.call("arv_stream_push_buffer", self._stream, library.call("arv_buffer_new_allocate", payload_bytes))
-        self.call("start_acquisition")
-
-    def restart(self) -> None:
-        """No frame from before comes after this."""
-        self.call("stop_acquisition")
-        self.drain()
         self.call("start_acquisition")
 
     def drain(self) -> int:

@@ -77,10 +77,10 @@ def _mono10p(data: Bytes) -> Values:
 _ROWS = (
     PixelFormat("Mono8", 0x01080001, 8, 1, _plain),
     PixelFormat("Mono10", 0x01100003, 10, 2, _little_endian),
-    PixelFormat("Mono12", 0x01100005, 12, 2, _little_endian),
     PixelFormat("Mono10Packed", 0x010C0004, 10, 3, _gige_pairs(2)),
-    PixelFormat("Mono12Packed", 0x010C0006, 12, 3, _gige_pairs(4)),
     PixelFormat("Mono10p", 0x010A0046, 10, 5, _mono10p),
+    PixelFormat("Mono12", 0x01100005, 12, 2, _little_endian),
+    PixelFormat("Mono12Packed", 0x010C0006, 12, 3, _gige_pairs(4)),
     PixelFormat("Mono12p", 0x010C0047, 12, 3, _mono12p),
 )
 FORMATS = {row.name: row for row in _ROWS}

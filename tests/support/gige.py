@@ -5,13 +5,14 @@ from __future__ import annotations
 import resource
 import socket
 import subprocess
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 import numpy.typing as npt
 
+from firmware_bridge.drivers.genicam_features import Region
 from firmware_bridge.wire import image
 
 PEERS = Path(__file__).parents[1] / "peers"
@@ -97,8 +98,11 @@ class GigeCamera:
         self._process.stdin.write("\n")
         self._process.stdin.flush()
 
-    def shown(self, exposure_us: float, bits: int = 8, gain_db: int = 0) -> npt.NDArray[np.uint16]:
+    def shown(
+        self, exposure_us: float, bits: int = 8, gain_db: int = 0, region: Region | None = None
+    ) -> npt.NDArray[np.uint16]:
         """What it shows at an exposure."""
+        x_px, y_px, width_px, height_px = astuple(region) if region else (0, 0, *self.scene.shape[::-1])
         scale = exposure_us / SCENE_US * 10 ** (gain_db / 20) * (1 << (bits - 8))
-        bright = np.floor(self.scene * scale + 0.5)
+        bright = np.floor(self.scene[y_px : y_px + height_px, x_px : x_px + width_px] * scale + 0.5)
         return np.minimum(bright, (1 << bits) - 1).astype(np.uint16)
