@@ -58,8 +58,8 @@ i64 background_of(const void *data, i64 bytes, i64 height, i64 width, i64 stride
 
 /* Where a pixel lies between tile centres: the lower tile and the share of the next; constant beyond the outermost. */
 static i64 between(i64 pixel, i64 length, i64 tiles, double *share) {
-    double at = fmin(fmax(((double)pixel + 0.5) * (double)tiles / (double)length - 0.5, 0), (double)(tiles - 1));
-    i64 low = (i64)fmin(at, (double)(tiles > 1 ? tiles - 2 : 0));
+    double at = ((double)pixel + 0.5) * (double)tiles / (double)length - 0.5;
+    i64 low = (i64)fmin(fmax(at, 0), (double)(tiles > 1 ? tiles - 2 : 0));
     *share = at - (double)low;
     return low;
 }

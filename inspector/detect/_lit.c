@@ -44,20 +44,21 @@ i64 kernel_components(i64 n, const i64 *rows, const i64 *columns, i64 *label) {
     return count;
 }
 
-/* Threshold of a row at tile columns: the tile grid is bilinear between tile centres and constant beyond them. */
+/* Threshold of a row at tile columns: the tile grid is bilinear between tile centres and goes on straight beyond them. */
 static double row_thresholds(const double *tiles, i64 tr, i64 tc, i64 row, i64 height, double *at) {
-    double y = fmin(fmax((row + 0.5) * tr / height - 0.5, 0), tr - 1), least = INFINITY;
-    i64 r0 = tr > 1 ? (i64)fmin(y, tr - 2) : 0, r1 = tr > 1 ? r0 + 1 : 0;
+    double y = (row + 0.5) * tr / height - 0.5, least = INFINITY;
+    i64 r0 = tr > 1 ? (i64)fmin(fmax(y, 0), tr - 2) : 0, r1 = tr > 1 ? r0 + 1 : 0;
     for (i64 c = 0; c < tc; c++) {
         at[c] = tiles[r0 * tc + c] + (tiles[r1 * tc + c] - tiles[r0 * tc + c]) * (y - r0);
         least = fmin(least, at[c]);
     }
+    if (tc > 1) least = fmin(least, fmin(1.5 * at[0] - 0.5 * at[1], 1.5 * at[tc - 1] - 0.5 * at[tc - 2]));
     return least;
 }
 
 static double column_threshold(const double *at, i64 tc, i64 column, i64 width) {
-    double x = fmin(fmax((column + 0.5) * tc / width - 0.5, 0), tc - 1);
-    i64 c0 = tc > 1 ? (i64)fmin(x, tc - 2) : 0, c1 = tc > 1 ? c0 + 1 : 0;
+    double x = (column + 0.5) * tc / width - 0.5;
+    i64 c0 = tc > 1 ? (i64)fmin(fmax(x, 0), tc - 2) : 0, c1 = tc > 1 ? c0 + 1 : 0;
     return at[c0] + (at[c1] - at[c0]) * (x - c0);
 }
 

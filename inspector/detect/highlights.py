@@ -103,7 +103,7 @@ def _thresholds(detection: Detection, ground: Background, full_dn: float) -> Flo
         )
     if detection.threshold_dn is not None:
         return np.array([[detection.threshold_dn]])
-    tiles = ground.tiles_dn.max(keepdims=True) if ground.flat() else ground.tiles_dn
+    tiles = ground.tiles_dn.max(keepdims=True) if ground.flat() else ground.tiles_dn + _bend(ground.tiles_dn)
     thresholds = tiles + detection.threshold_sigma * ground.noise_dn
     if thresholds.min() >= full_dn:
         raise FrameRefused(
@@ -112,6 +112,17 @@ def _thresholds(detection: Detection, ground: Background, full_dn: float) -> Flo
             f" scale {full_dn:.0f} DN: shield the panel, check the camera's link",
         )
     return np.asarray(thresholds)
+
+
+def _bend(tiles_dn: FloatArray) -> FloatArray:
+    """How far (rows, columns) the ground may lie off a straight line between tile centres, DN: less than half its bend there."""
+    bend = np.zeros_like(tiles_dn)
+    for axis in (0, 1):
+        if tiles_dn.shape[axis] > 2:
+            second = np.abs(np.diff(tiles_dn, 2, axis)).max(axis=1 - axis, keepdims=True)
+            ends = [(1, 1) if a == axis else (0, 0) for a in (0, 1)]
+            bend = np.maximum(bend, np.pad(second, ends, mode="edge"))
+    return np.asarray(bend * 0.4)
 
 
 def _lit(
@@ -150,7 +161,7 @@ def _measured(view: View, spots: Spots) -> Highlights:
         crowd, solved = bloom.refine(view.image, view.lit, spots, measured.fitted, view.response)
         if crowd is not spots:
             spots, measured = crowd, _measure(view, crowd)
-    found = _believed(measured.fitted, spots)
+    found = _believed(measured, spots)
     if any(spots.bloom):
         _place_bloomed(view, spots, measured.fitted, solved, found)
     return Highlights(
@@ -172,10 +183,11 @@ def _measured(view: View, spots: Spots) -> Highlights:
 
 @dataclass(frozen=True)
 class Measured:
-    """The fit of n spots, and their flags (n,)."""
+    """The fit of n spots, their flags (n,), and whether any of them showed the frame's blur unclipped."""
 
     fitted: fitting.Fitted
     flags: IntArray
+    blur_known: bool
 
 
 def _measure(view: View, spots: Spots) -> Measured:
@@ -192,7 +204,7 @@ def _measure(view: View, spots: Spots) -> Measured:
     given[:, 2:4] = spots.table[:, SATURATED_PX : NARROW_PX + 1]
     given[:, 4:] = spots.centre_px
     fitted = fitting.fit(view.image, view.response, spots.bloom, view.threshold_dn, given, typical)
-    return Measured(fitted, flags)
+    return Measured(fitted, flags, bool(typical.any()))
 
 
 def _flags(detection: Detection, spots: Spots, crowd: IntArray) -> IntArray:
@@ -250,8 +262,12 @@ class Believed:
     flux_sigma: FloatArray
 
 
-def _believed(fitted: fitting.Fitted, spots: Spots) -> Believed:
-    """What the fit is taken to say: where it ran away, the plain centre, known badly."""
+def _believed(measured: Measured, spots: Spots) -> Believed:
+    """What the fit is taken to say: where it ran away, the plain centre, known badly.
+
+    The flux of a clipped spot hangs on its blur: in a frame that shows none unclipped it is little more than a guess.
+    """
+    fitted, clipped_sigma = measured.fitted, CLIPPED_FLUX_SIGMA if measured.blur_known else BLOOM_FLUX_SIGMA
     xy, flux = fitted.xy_px.copy(), fitted.table[:, fitting.FLUX].copy()
     covariance = fitted.covariance_px2 * np.maximum(fitted.chi2, 1.0)[:, None, None] + SYSTEMATIC_PX2
     away = np.abs(xy - spots.centre_px).max(axis=1)
@@ -261,7 +277,7 @@ def _believed(fitted: fitting.Fitted, spots: Spots) -> Believed:
         covariance[lost], xy[lost] = LOST_SIGMA_PX**2 * np.eye(2), spots.centre_px[lost]
         peak = fitted.table[lost, fitting.PEAK]
         flux[lost] = np.where(np.isfinite(peak), np.maximum(peak, 1.0), 1.0)
-    return Believed(xy, covariance, flux, np.where(spots.clipped, CLIPPED_FLUX_SIGMA, FLUX_SIGMA))
+    return Believed(xy, covariance, flux, np.where(spots.clipped, clipped_sigma, FLUX_SIGMA))
 
 
 def _place_bloomed(

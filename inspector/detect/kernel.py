@@ -59,7 +59,7 @@ def detect(
 ) -> Detected | None:
     """Pixels above thresholds given at tile centres (rows, columns), and the spots in them; None past ``most`` pixels.
 
-    Between tile centres thresholds are bilinear, beyond them constant. Raises MemoryError.
+    Between tile centres thresholds are bilinear, and go on straight beyond them. Raises MemoryError.
     """
     rows_of_tiles, columns_of_tiles = thresholds_dn.shape
     tiles = thresholds_dn.astype(np.float64).tobytes()

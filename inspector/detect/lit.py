@@ -46,7 +46,7 @@ class Background:
         return float(self.tiles_dn.max() - self.tiles_dn.min()) <= 3 * self.noise_dn
 
     def at(self, rows: IntArray, columns: IntArray, shape: tuple[int, int]) -> FloatArray:
-        """Background (n,) DN at pixels, bilinear between tile centres and constant beyond them."""
+        """Background (n,) DN at pixels, bilinear between tile centres and straight on beyond them."""
         level = np.empty(len(rows))
         _at(
             *shape,
