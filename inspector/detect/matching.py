@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from heapq import nsmallest
 
-Edge = tuple[int, int, float, int]
-"""Two members, what taking them costs, and the couple's index."""
-MOST_STATES = 20_000
-"""States remembered for one cluster; a larger tangle is matched greedily, cheapest first."""
+Options = dict[int, list[tuple[int, float, int]]]
+"""For each member, the couples it may be in: the other member, what taking them costs, and the couple's index."""
+Way = tuple[int, "Way"] | None
+"""The couples taken so far, latest first."""
+MOST_MOVES = 40_000
+"""Work that one matching is worth: a tangle too dense for it keeps only the cheapest of its states at each step."""
 
 
 def best_matching(a: list[int], b: list[int], cost: list[float], worth: float) -> list[int]:
@@ -15,64 +18,64 @@ def best_matching(a: list[int], b: list[int], cost: list[float], worth: float) -
 
     No member serves twice; a couple that costs ``worth`` or more is never taken.
     """
-    edges = [(x, y, c - worth, k) for k, (x, y, c) in enumerate(zip(a, b, cost, strict=True)) if c < worth]
-    return sorted(k for cluster in _clusters(edges) for k in _matched(cluster))
+    options: Options = defaultdict(list)
+    count = 0
+    for k, (x, y, c) in enumerate(zip(a, b, cost, strict=True)):
+        if c < worth:
+            options[x].append((y, c - worth, k))
+            options[y].append((x, c - worth, k))
+            count += 1
+    most_states = max(MOST_MOVES // max(count, 1), 1)
+    return sorted(k for cluster in _clusters(options) for k in _matched(cluster, options, most_states))
 
 
-def _clusters(edges: list[Edge]) -> list[list[Edge]]:
-    """Groups of edges that share members, directly or through others."""
-    parent: dict[int, int] = {}
-
-    def root(x: int) -> int:
-        while parent.setdefault(x, x) != x:
-            parent[x] = x = parent[parent[x]]
-        return x
-
-    for x, y, _, _ in edges:
-        parent[root(x)] = root(y)
-    groups: dict[int, list[Edge]] = defaultdict(list)
-    for edge in edges:
-        groups[root(edge[0])].append(edge)
-    return list(groups.values())
-
-
-def _matched(edges: list[Edge]) -> list[int]:
-    """The best matching of one cluster's edges (a, b, cost, index)."""
-    if len(edges) == 1:
-        return [edges[0][3]]
-    order = {x: n for n, x in enumerate(sorted({x for a, b, _, _ in edges for x in (a, b)}))}
-    options: dict[int, list[tuple[int, float, int]]] = defaultdict(list)
-    for a, b, cost, index in edges:
-        low, high = sorted((order[a], order[b]))
-        options[low].append((high, cost, index))
-    exact = _exact(options, len(order))
-    return _greedy(edges) if exact is None else exact
+def _clusters(options: Options) -> list[list[int]]:
+    """Members that couples join, directly or through others; each cluster from near to far, so that few are open."""
+    seen: set[int] = set()
+    clusters = []
+    for start in sorted(options, key=lambda x: len(options[x])):
+        if start not in seen:
+            seen.add(start)
+            members = [start]
+            for x in members:
+                for y, _, _ in options[x]:
+                    if y not in seen:
+                        seen.add(y)
+                        members.append(y)
+            clusters.append(members)
+    return clusters
 
 
-def _exact(options: dict[int, list[tuple[int, float, int]]], count: int) -> list[int] | None:
-    """Member by member: states are the later members already used, each with its cheapest way there."""
-    states: dict[int, tuple[float, tuple[int, ...]]] = {0: (0.0, ())}
-    for x in range(count):
-        following: dict[int, tuple[float, tuple[int, ...]]] = {}
-        for used, (cost, picked) in states.items():
-            moves = [(used & ~(1 << x), cost, picked)]
-            if not used >> x & 1:
-                moves += [(used | 1 << y, cost + c, (*picked, k)) for y, c, k in options[x] if not used >> y & 1]
-            for state, total, way in moves:
-                if state not in following or total < following[state][0]:
-                    following[state] = (total, way)
-        if len(following) > MOST_STATES:
-            return None
-        states = following
-    return list(min(states.values())[1])
+def _matched(members: list[int], options: Options, most_states: int) -> list[int]:
+    """The best matching of one cluster, member by member.
+
+    A state is the set of later members already used, as bits; of each the cheapest way there is kept.
+    """
+    place = {x: n for n, x in enumerate(members)}
+    states: dict[int, tuple[float, Way]] = {0: (0.0, None)}
+    for n, x in enumerate(members):
+        later = [(1 << place[y], cost, k) for y, cost, k in options[x] if place[y] > n]
+        states = _after(states, 1 << n, later)
+        if len(states) > most_states:
+            states = dict(nsmallest(most_states, states.items(), key=lambda item: item[1][0]))
+    _, way = min(states.values(), key=lambda value: value[0])
+    chosen = []
+    while way is not None:
+        k, way = way
+        chosen.append(k)
+    return chosen
 
 
-def _greedy(edges: list[Edge]) -> list[int]:
-    """Cheapest couple first."""
-    taken: set[int] = set()
-    picked = []
-    for a, b, _, index in sorted(edges, key=lambda e: e[2]):
-        if a not in taken and b not in taken:
-            taken |= {a, b}
-            picked.append(index)
-    return picked
+def _after(
+    states: dict[int, tuple[float, Way]], member: int, later: list[tuple[int, float, int]]
+) -> dict[int, tuple[float, Way]]:
+    """The states when a member (its bit) is left alone, or joined with a later one where both are still free."""
+    following: dict[int, tuple[float, Way]] = {}
+    for used, (cost, way) in states.items():
+        moves: list[tuple[int, float, Way]] = [(used & ~member, cost, way)]
+        if not used & member:
+            moves += [(used | other, cost + c, (k, way)) for other, c, k in later if not used & other]
+        for state, total, path in moves:
+            if state not in following or total < following[state][0]:
+                following[state] = (total, path)
+    return following
