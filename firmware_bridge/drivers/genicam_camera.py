@@ -70,15 +70,13 @@ class GenicamCamera:
             what = f"{MOST_LOST} lost connections are still being given up"
             raise DeviceGone(self._device, what, "this takes up to 15 s; see why the camera comes and goes")
         self._link, self._worker = AravisCamera(self._device), Worker("genicam")
-        self._camera_time_ns = 0
         try:
-            self._serial = self._ask(lambda link: link.open(self._name), self._deadline_s)
-            self._capabilities = self._ask(lambda link: set_up(link, self._wanted, self._device), self._deadline_s)
-            self._exposure_us = self._ask(_read_exposure)
-            self._start()
+            opened = self._ask(lambda link: _opened(link, self._name, self._wanted, self._device), self._deadline_s)
         except BridgeError:
             self.close()
             raise
+        self._serial, self._capabilities, self._exposure_us = opened
+        self._out_of_step, self._camera_id, self._camera_time_ns = False, None, 0
 
     def close(self) -> None:
         """Let go of the camera. A grab that waits in another thread ends soon. May be called twice."""
@@ -174,6 +172,15 @@ class GenicamCamera:
             raise ReplyWrong(self._device, what, "reopening starts it anew")
         self._frame_id += step
         self._camera_id, self._camera_time_ns = received.camera_id, received.camera_time_ns
+
+
+def _opened(link: AravisCamera, name: str | None, wanted: Wanted, device: str) -> tuple[str, CameraCapabilities, float]:
+    """Connect, set everything and let frames come; the camera's serial number, what it can do, and its exposure."""
+    serial = link.open(name)
+    able = set_up(link, wanted, device)
+    exposure_us = _read_exposure(link)
+    link.start(wanted.packet_size_bytes)
+    return serial, able, exposure_us
 
 
 def _write_exposure(link: AravisCamera, exposure_us: float) -> float:

@@ -237,7 +237,7 @@ def test_closing_ends_a_grab_that_waits(gige_camera: Any, camera_at: Any) -> Non
     assert seen
 
 
-@pytest.mark.parametrize("times", [10, pytest.param(200, marks=pytest.mark.long)])
+@pytest.mark.parametrize("times", [5, pytest.param(200, marks=pytest.mark.long)])
 def test_reopening_leaves_nothing_behind(times: int, gige_camera: Any, camera_at: Any, wait_until: Any) -> None:
     gige_camera()
     camera = camera_at()
