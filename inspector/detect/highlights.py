@@ -115,7 +115,7 @@ def _thresholds(detection: Detection, ground: Background, full_dn: float) -> Flo
 
 
 def _bend(tiles_dn: FloatArray) -> FloatArray:
-    """How far (rows, columns) the ground may lie off a straight line between tile centres, DN: less than half its bend there."""
+    """How far (rows, columns) the ground may lie off a straight line between tile centres, DN: part of its bend."""
     bend = np.zeros_like(tiles_dn)
     for axis in (0, 1):
         if tiles_dn.shape[axis] > 2:
