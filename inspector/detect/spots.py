@@ -17,6 +17,8 @@ LOBE_BLUR_PX, LOBE_REACH_PX = 0.8, 2
 """Saturated plateaus are blurred by this to show their lobes; the kernel's half size."""
 SINGLE_PX = 4
 """Plateaus no longer than this are one spot's."""
+LARGEST_PX = 400
+"""Plateaus of more pixels are no spots, however they are parted."""
 PARTED_PX = 2.5
 """Runs of one spot have one middle; two that differ by more belong to two."""
 SADDLE_SHARE = 0.965
@@ -82,10 +84,12 @@ def _lobes(image: Image, found: kernel.Detected, saturated_dn: float) -> FloatAr
     """Rows of the table for the lobes of all plateaus: parted where they have a waist, or runs with two middles."""
     clipped = np.flatnonzero(found.plateau >= 0)
     rows, columns, plateau = found.rows[clipped], found.columns[clipped], found.plateau[clipped]
-    lobe = _parted_runs(
-        _parted_runs(_waisted(image, rows, columns, plateau, saturated_dn), rows, columns), columns, rows
-    )
-    count = int(lobe.max()) + 1
+    lobe, count = np.zeros(len(clipped), np.intp), 0
+    for mine in _groups(plateau):
+        if max(np.ptp(rows[mine]), np.ptp(columns[mine])) + 1 > SINGLE_PX and len(mine) <= LARGEST_PX:
+            lobe[mine] = _parted(image, rows[mine], columns[mine], saturated_dn)
+        lobe[mine] += count
+        count = int(lobe[mine].max()) + 1
     host = np.zeros(count, np.intp)
     host[lobe] = plateau
     table = found.spots[host]
@@ -95,18 +99,28 @@ def _lobes(image: Image, found: kernel.Detected, saturated_dn: float) -> FloatAr
     return table
 
 
-def _waisted(image: Image, rows: IntArray, columns: IntArray, plateau: IntArray, saturated_dn: float) -> IntArray:
-    """Which lobe each clipped pixel (n,) belongs to: plateaus, parted where they have a waist."""
+def _groups(label: IntArray) -> list[IntArray]:
+    """The indices of each label's members, in order."""
+    order = np.argsort(label, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+
+
+def _parted(image: Image, rows: IntArray, columns: IntArray, saturated_dn: float) -> IntArray:
+    """Which lobe each pixel (n,) of one plateau belongs to."""
+    lobe = _waisted(image, rows, columns, saturated_dn)
+    return _parted_runs(_parted_runs(lobe, rows, columns), columns, rows)
+
+
+def _waisted(image: Image, rows: IntArray, columns: IntArray, saturated_dn: float) -> IntArray:
+    """Which lobe each pixel (n,) of one plateau belongs to: parted where it has a waist."""
     blurred = _blurred(image, rows, columns, saturated_dn)
     tops = _tops(rows, columns, blurred)
     at = np.column_stack([rows, columns]).astype(np.float64)
     kept: list[int] = []
     for t in tops[np.argsort(-blurred[tops], kind="stable")]:
-        rivals = [k for k in kept if plateau[k] == plateau[t]]
-        if all(_saddle(at, blurred, plateau, k, t) < SADDLE_SHARE * blurred[t] for k in rivals):
+        if all(_saddle(at, blurred, k, t) < SADDLE_SHARE * blurred[t] for k in kept):
             kept.append(int(t))
     distance = np.sum((at[:, None] - at[kept]) ** 2, axis=2)
-    distance[plateau[:, None] != plateau[kept]] = np.inf
     return np.unique(distance.argmin(axis=1), return_inverse=True)[1]
 
 
@@ -156,15 +170,14 @@ def _tops(rows: IntArray, columns: IntArray, value: FloatArray) -> IntArray:
     return np.flatnonzero(best)
 
 
-def _saddle(at: FloatArray, value: FloatArray, plateau: IntArray, a: int, b: int) -> float:
+def _saddle(at: FloatArray, value: FloatArray, a: int, b: int) -> float:
     """Least blurred value met on the straight way from pixel a to pixel b; 0 where the way leaves the plateau."""
     steps = int(np.abs(at[a] - at[b]).max())
     way = np.rint(at[a] + (at[b] - at[a]) * np.linspace(0, 1, steps + 1)[:, None])
-    same = np.flatnonzero(plateau == plateau[a])
-    met = (at[same][:, None] == way).all(axis=2)
+    met = (at[:, None] == way).all(axis=2)
     if not met.any(axis=0).all():
         return 0.0
-    return float(value[same][met.any(axis=1)].min())
+    return float(value[met.any(axis=1)].min())
 
 
 def _extent(label: IntArray, value: IntArray, count: int) -> FloatArray:
