@@ -151,7 +151,8 @@ class Cycle:
         self._devices = replace(module, camera=camera)
 
     def close(self) -> None:
-        """Put the lamp out, then close the camera."""
+        """Put the lamp out, also after an outage in which it stayed lit; then close the camera."""
+        self._lamp.try_again()
         self._lamp.close()
         self._camera.close()
 

@@ -7,16 +7,21 @@ from firmware_bridge.errors import ReplyWrong
 
 
 class FreshFrames:
-    """The camera, with :meth:`grab` held to rising frame ids from one opening to the next."""
+    """The camera, with :meth:`grab` held to rising frame ids.
+
+    A camera that was opened again may count anew. It may as well still hold an old frame, which the same id or a lower
+    one does not tell from a new count: then a second frame has to.
+    """
 
     def __init__(self, camera: Camera) -> None:
         self.simulated = camera.simulated
         self._camera = camera
         self._last_id: int | None = None
+        self._first = True
 
     def open(self) -> None:
-        """See the contract. A camera that starts anew may count anew."""
-        self._last_id = None
+        """See the contract."""
+        self._first = True
         self._camera.open()
 
     def close(self) -> None:
@@ -34,8 +39,13 @@ class FreshFrames:
     def grab(self) -> CameraFrame:
         """See the contract. Raises ReplyWrong for a frame that has been seen."""
         frame = self._camera.grab()
-        if self._last_id is not None and frame.frame_id <= self._last_id:
+        if self._first and not self._is_new(frame):
+            self._last_id, frame = frame.frame_id, self._camera.grab()
+        if not self._is_new(frame):
             what = f"gave frame {frame.frame_id} after frame {self._last_id}: an old one"
             raise ReplyWrong("camera", what, "check the frame source; reopening starts it anew")
-        self._last_id = frame.frame_id
+        self._last_id, self._first = frame.frame_id, False
         return frame
+
+    def _is_new(self, frame: CameraFrame) -> bool:
+        return self._last_id is None or frame.frame_id > self._last_id

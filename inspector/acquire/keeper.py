@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
@@ -116,6 +116,13 @@ class Keeper(Generic[DeviceT]):
         """Close the device for good, or until the next use."""
         self._open, self._broken, self._works_since_s = False, False, None
         self.device.close()
+
+    def try_again(self) -> None:
+        """Open a device that has failed, at once: the last chance before it is closed. Whether it could is no news."""
+        if self._error is not None:
+            self.device.close()
+            with suppress(BridgeError):
+                self.device.open()
 
     def replace(self, device: DeviceT) -> None:
         """Close the device and take another one in its place, to be opened at the next use."""
