@@ -105,11 +105,11 @@ def _thresholds(detection: Detection, ground: Background, full_dn: float) -> Flo
         return np.array([[detection.threshold_dn]])
     tiles = ground.tiles_dn.max(keepdims=True) if ground.flat() else ground.tiles_dn + _bend(ground.tiles_dn)
     thresholds = tiles + detection.threshold_sigma * ground.noise_dn
-    if thresholds.min() >= full_dn:
+    if thresholds.max() >= full_dn:
         raise FrameRefused(
             Reason.FRAME_OVERLIT,
-            f"no highlight could stand out: background {ground.level_dn:.0f} DN, noise {ground.noise_dn:.0f} DN, full"
-            f" scale {full_dn:.0f} DN: shield the panel, check the camera's link",
+            f"no highlight could stand out everywhere: background up to {ground.tiles_dn.max():.0f} DN, noise"
+            f" {ground.noise_dn:.0f} DN, full scale {full_dn:.0f} DN: shield the panel, check the camera's link",
         )
     return np.asarray(thresholds)
 
