@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from firmware_bridge.contracts import CameraCapabilities, CameraFrame
-from firmware_bridge.drivers.genicam_features import SOFTWARE, Wanted, set_up
-from firmware_bridge.errors import BridgeError, DeviceGone, NoReply, OutOfRange, ReplyWrong
+from firmware_bridge.drivers.genicam_features import FREE_RUNNING, SOFTWARE, Wanted, set_up
+from firmware_bridge.errors import BridgeError, DeviceGone, NoReply, NoTrigger, OutOfRange, ReplyWrong
 from firmware_bridge.links.aravis import AravisCamera, Received
 from firmware_bridge.links.worker import Worker
 from firmware_bridge.wire import pixel_formats
@@ -129,6 +129,8 @@ class GenicamCamera:
         self._begin()
         while (received := self._ask(lambda link: link.pop(LOOK_S), LOOK_S + self._command_deadline_s)) is None:
             if time.monotonic() >= end_s:
+                if self._wanted.trigger not in (SOFTWARE, FREE_RUNNING):
+                    raise NoTrigger(self._device, f"no signal on {self._wanted.trigger} in {self._deadline_s:g} s")
                 self._out_of_step = True
                 remedy = "check the trigger's wiring, and that no firewall keeps its frames out"
                 raise NoReply(self._device, f"no frame in {self._deadline_s:g} s", remedy)

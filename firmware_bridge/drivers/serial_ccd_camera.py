@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass
 
 from firmware_bridge.contracts import CameraCapabilities, CameraFrame
-from firmware_bridge.errors import OutOfRange, ReadBackWrong, ReplyWrong
+from firmware_bridge.errors import NoReply, NoTrigger, OutOfRange, ReadBackWrong, ReplyWrong
 from firmware_bridge.links.frame_sources import FrameSource
 from firmware_bridge.links.serial_line import CommandLine
 from firmware_bridge.wire.ccd_dialects import Answer, Dialect, Verdict
@@ -101,7 +101,7 @@ class SerialCcdCamera:
         self._source.discard()
         for _ in range(FRAMES_UNDER_WAY if self._head.trigger == "Off" else 0):
             self._count(self._read(until_s))
-        frame = self._read(until_s)
+        frame = self._triggered(until_s)
         self._count(frame)
         self._shape = (frame.image.shape[0], frame.image.shape[1])
         taken_at_s = time.time() if frame.taken_at_s is None else frame.taken_at_s
@@ -110,6 +110,16 @@ class SerialCcdCamera:
 
     def _read(self, until_s: float) -> RawFrame:
         return self._source.read(max(until_s - time.monotonic(), 0.0))
+
+    def _triggered(self, until_s: float) -> RawFrame:
+        """The next frame. Without one, a head on a trigger line that answers is only waiting. Raises NoTrigger."""
+        try:
+            return self._read(until_s)
+        except NoReply:
+            if self._head.trigger == "Off":
+                raise
+        self._line.read(self._head.dialect.exposure)
+        raise NoTrigger(self._device, f"no signal on {self._head.trigger} in {self._deadline_s:g} s")
 
     def _count(self, frame: RawFrame) -> None:
         """Count by the camera's own numbers, where frames have them: those that were lost on the way count too."""

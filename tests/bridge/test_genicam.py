@@ -163,6 +163,12 @@ def test_a_signal_on_its_line_begins_each_frame(gige_camera: Any, camera_at: Any
             _assert_shows(camera, peer, exposure_us)
 
 
+def test_a_line_that_stands_still_is_no_fault(gige_camera: Any, camera_at: Any) -> None:
+    gige_camera()
+    with pytest.raises(errors.NoTrigger, match="no signal on Line0"):
+        camera_at(trigger="Line0", deadline_s=0.5).grab()
+
+
 @contextlib.contextmanager
 def _pulsed(peer: gige.GigeCamera, every_s: float = 0.1) -> Iterator[None]:
     """Signals on Line0, until something came of them."""

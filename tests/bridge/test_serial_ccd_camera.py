@@ -159,6 +159,22 @@ def test_a_signal_on_its_input_takes_one_frame(dialect: str, rig: Any, monkeypat
     camera.close()
 
 
+@BOTH
+def test_a_line_that_stands_still_is_told_from_a_head_that_is_dead(dialect: str, rig: Any) -> None:
+    made = rig(dialect)
+    made.server.stop()
+    made.plug(rate_hz=0.0)
+    camera = made.camera(trigger="Line0", deadline_s=0.2)
+    camera.open()
+    with pytest.raises(errors.NoTrigger, match="no signal on Line0"):
+        camera.grab()
+    made.server.fault = LineFault.SILENT
+    with pytest.raises(errors.NoReply) as raised:
+        camera.grab()
+    assert not isinstance(raised.value, errors.NoTrigger)
+    camera.close()
+
+
 def test_capabilities_are_the_settings_and_the_last_frames(opened: Any) -> None:
     made, camera = opened("jai")
     can = camera.capabilities()
