@@ -10,6 +10,7 @@ import ipaddress
 import json
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -189,6 +190,7 @@ def load(path: Path) -> Settings:
         problems += tuple(_port_problems(document, settings.model_dump() if settings else document.data))
     if settings:
         problems += (*_pace_problems(document, settings), *_trigger_problems(document, settings))
+        problems += tuple(_patch_problems(document, settings, path.parent))
     if settings is None or problems:
         raise SettingsError(problems)
     return settings.under(path.parent)
@@ -274,6 +276,17 @@ def _trigger_problems(document: Document, settings: Settings) -> Iterator[Proble
         allowed = f"0 to {count - 1}" if count else "none: choose another trigger or module"
         what = f"{settings.module.profile} has {count} digital inputs; allowed: {allowed}"
         yield document.problem(("cycle", "trigger", "channel"), trigger.channel, what)
+
+
+def _patch_problems(document: Document, settings: Settings, folder: Path) -> Iterator[Problem]:
+    """The reference by which the light is kept constant must be in the frame."""
+    if settings.light is None:
+        return
+    with suppress(CalibrationError):  # said already
+        camera, patch = read_calibration(folder / settings.calibration).camera, settings.light.patch
+        if patch.x_px + patch.width_px > camera.width_px or patch.y_px + patch.height_px > camera.height_px:
+            allowed = f"allowed: within the calibrated frame, {camera.width_px} x {camera.height_px} px"
+            yield document.problem(("light", "patch"), patch.model_dump(), allowed)
 
 
 def _port_problems(document: Document, data: object) -> Iterator[Problem]:

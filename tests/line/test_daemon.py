@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from firmware_bridge.contracts import CameraCapabilities, CameraFrame
-from firmware_bridge.errors import NoReply
+from firmware_bridge.errors import BridgeError, NoReply
 from firmware_bridge.factory import Devices
 from inspector.daemon import Daemon, Limits
 from inspector.faults import Fault
@@ -27,12 +27,13 @@ from tests.line.conftest import Plc
 
 
 class FakeLamp:
-    """A lamp that always obeys, and counts how often it is opened and closed."""
+    """A lamp that obeys unless it ``fails``, and counts how often it is opened, closed and spoken to in between."""
 
     simulated = False
 
     def __init__(self) -> None:
-        self.volts, self.opened, self.closed = 0.0, 0, 0
+        self.volts, self.opened, self.closed, self.kept = 0.0, 0, 0, 0
+        self.fails: BridgeError | None = None
 
     def open(self) -> None:
         self.opened += 1
@@ -42,26 +43,34 @@ class FakeLamp:
         self.closed += 1
 
     def set_volts(self, volts: float) -> float:
+        self._fail()
         self.volts = volts
         return volts
 
     def read_volts(self) -> float:
         return self.volts
 
-    def keep_alive(self) -> None: ...
+    def keep_alive(self) -> None:
+        self._fail()
+        self.kept += 1
 
     def burnt_hours(self) -> float:
         return 0.0
 
+    def _fail(self) -> None:
+        if self.fails:
+            raise self.fails
+
 
 class FakeCamera:
-    """A camera that gives a frame for each permit; ``grab`` waits for one."""
+    """A camera that gives a frame for each permit; ``grab`` waits for one. ``script``: frame ids and errors to give."""
 
     simulated = True
 
     def __init__(self) -> None:
         self.permits = threading.Semaphore(0)
-        self.opened, self.taken, self.exposure_us = 0, 0, 0.0
+        self.opened, self.taken, self.exposure_us, self.waiting = 0, 0, 0.0, False
+        self.script: list[int | BridgeError] = []
 
     def open(self) -> None:
         self.opened += 1
@@ -76,9 +85,14 @@ class FakeCamera:
         return exposure_us
 
     def grab(self) -> CameraFrame:
+        self.waiting = True
         if not self.permits.acquire(timeout=20):
             raise NoReply("camera", "no permit in 20 s")
-        self.taken += 1
+        self.waiting = False
+        step = self.script.pop(0) if self.script else self.taken + 1
+        if isinstance(step, BridgeError):
+            raise step
+        self.taken = step
         return CameraFrame(np.zeros((2, 3), np.uint8), self.taken, f"frame {self.taken}", self.exposure_us, 0.0)
 
 
