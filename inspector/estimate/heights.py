@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 
 from inspector import reflection
-from inspector.estimate.sunk import heights_mm as sunk_heights_mm
 from inspector.estimate.field_sigma import field_sigma
+from inspector.estimate.sunk import heights_mm as sunk_heights_mm
 from inspector.estimate.thesis import thesis_height_mm
 from inspector.model import Defect, Flag, FloatArray, HighlightPairs, Highlights, IntArray, Unpaired
 from inspector.optics import Calibration
