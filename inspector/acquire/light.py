@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Self
 
-from pydantic import Field, PositiveFloat, PositiveInt
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from inspector.faults import Fault
 from inspector.model import Image
@@ -42,6 +43,8 @@ class LightSettings(Strict):
     """Where the reference is in the image; nothing else may come there."""
     target_dn: PositiveFloat
     """Its mean grey value at the recipe's exposure and lamp level, DN."""
+    black_dn: float = Field(0.0, ge=0)
+    """Its mean grey value without light, DN."""
     tolerance: float = Field(0.15, gt=0, lt=1)
     """A frame whose patch is further from its target, as a share of it, is not inspected."""
     trim_limit_percent: float = Field(10.0, ge=0, le=25)
@@ -50,6 +53,12 @@ class LightSettings(Strict):
     """The lamp is trimmed no faster than this, points of intensity a minute."""
     weak_share: float = Field(0.6, gt=0, le=1)
     """The lamp is called weak when it needs more than this share of trim_limit_percent."""
+
+    @model_validator(mode="after")
+    def _has_range(self) -> Self:
+        if not self.black_dn < self.target_dn:
+            raise ValueError(f"black_dn must be below target_dn, {self.target_dn:g}")
+        return self
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +77,7 @@ def patch_mean_dn(image: Image, patch: Patch) -> float:
 
 
 def fault_of_light(mean_dn: float, target_dn: float, tolerance: float) -> Fault:
-    """NONE if the patch is near enough to its target; else what is wrong: a weak or dead lamp, or other light."""
+    """NONE if the patch is near its target, both over black; else what is wrong: weak or dead lamp, or other light."""
     if abs(mean_dn - target_dn) <= tolerance * target_dn:
         return Fault.NONE
     return Fault.FRAME_OVERLIT if mean_dn > target_dn else Fault.LAMP_WEAK
@@ -79,7 +88,7 @@ def trimmed(
 ) -> Trim:
     """The next trim, from a frame taken at ``level_percent`` (trim included): slowly, within its limit.
 
-    A patch without light, or none, moves nothing.
+    Patch and target are over black. A patch without light, or none, moves nothing.
     """
     elapsed_s = 0.0 if trim.at_s is None else min(max(now_s - trim.at_s, 0.0), LONGEST_STEP_S)
     step = settings.trim_percent_per_minute * elapsed_s / 60
