@@ -168,7 +168,7 @@ class Cycle:
         finally:
             self._trim(frame, taken_s)
         self._light.ends()
-        result = self._inspect(frame)
+        result = self._inspect(self._tuning.to_inspect(frame))
         self._note(result)
         now_s = self._clock()
         times = snapshots.Times(now_s, (now_s - taken_s) * 1e6, (now_s - started_s) * 1e6)

@@ -13,6 +13,7 @@ from firmware_bridge import factory
 from inspector import bench, calibration_file, yaml_edit
 from inspector.acquire import exposure
 from inspector.acquire.exposure import Bounds, Brightness, Level
+from inspector.acquire.tuning import Tuning
 from inspector.bench import Bench, Build, NotPossible
 from inspector.pipeline import Station, inspect
 from inspector.recipe import AutomaticExposure
@@ -64,6 +65,7 @@ def _steps(station: Bench, frames: int) -> Iterator[Step]:
     """Levels and what they showed, until there is nothing to change or nothing changes."""
     settings = station.settings
     inspection = Station(calibration_file.read(settings.calibration), settings.recipe)
+    tuning = Tuning(settings.recipe, settings.light)
     station.warm_up(settings.lamp.volts(settings.recipe.lamp_percent))
     camera = station.camera.use(lambda c: c.capabilities())
     bounds = Bounds.of(settings.recipe.automatic_exposure or AutomaticExposure(), camera)
@@ -71,7 +73,7 @@ def _steps(station: Bench, frames: int) -> Iterator[Step]:
     done: list[Step] = []
     for _ in range(MOST_STEPS):
         volts = settings.lamp.volts(level.lamp_percent)
-        taken = (station.frame(level.exposure_us, volts) for _ in range(frames))
+        taken = (tuning.to_inspect(station.frame(level.exposure_us, volts)) for _ in range(frames))
         seen = exposure.brightest([exposure.brightness(inspect(frame, inspection)) for frame in taken])
         done.append(Step(level, seen))
         yield done[-1]

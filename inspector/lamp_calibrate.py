@@ -88,8 +88,7 @@ def _reference_dn(frame: Frame, station: Bench, full_dn: float) -> float:
     """Mean of the reference patch, of the whole frame where the settings name none. Raises NotPossible."""
     settings, (height, width) = station.settings.light, frame.image.shape
     patch = settings.patch if settings else light.Patch(x_px=0, y_px=0, width_px=width, height_px=height)
-    rows = slice(patch.y_px, patch.y_px + patch.height_px)
-    part = frame.image[rows, patch.x_px : patch.x_px + patch.width_px]
+    part = light.inner(frame.image, patch)
     if settings and part.size and part.max() >= CLIPPED_SHARE * full_dn:
         raise NotPossible(f"the reference is clipped at {int(part.max())} DN: shorten recipe.exposure_us for this")
     return light.patch_mean_dn(frame.image, patch)

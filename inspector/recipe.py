@@ -119,3 +119,14 @@ class Recipe(Strict):
     """How highlights are found."""
     limits: Limits = Limits()
     """When a panel fails."""
+
+    @model_validator(mode="after")
+    def _begins_within(self) -> Self:
+        ranges = self.automatic_exposure
+        if ranges and not ranges.min_us <= self.exposure_us <= ranges.max_us:
+            allowed = f"{ranges.min_us:g} to {ranges.max_us:g}"
+            raise ValueError(f"exposure_us {self.exposure_us:g} is outside automatic_exposure, {allowed}")
+        if ranges and not ranges.lamp_min_percent <= self.lamp_percent <= ranges.lamp_max_percent:
+            allowed = f"{ranges.lamp_min_percent:g} to {ranges.lamp_max_percent:g}"
+            raise ValueError(f"lamp_percent {self.lamp_percent:g} is outside automatic_exposure, {allowed}")
+        return self

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Self
 
+import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from inspector.faults import Fault
@@ -19,6 +20,8 @@ SETTLED = 0.002
 """A patch within this share of its target is left alone: the level's own steps are of this size."""
 LEAST_SHARE = 0.01
 """Less of the target than this says no more about how much is missing."""
+SPARSE = 16
+"""One row of so many, and one pixel of so many in it, tell how dark the panel is."""
 LONGEST_STEP_S = 60.0
 """After a longer pause the level moves as after this one: what the light did meanwhile is not known."""
 
@@ -40,7 +43,7 @@ class LightSettings(Strict):
     """A reference patch in the field, by which the light is kept constant and a failing lamp is noticed."""
 
     patch: Patch
-    """Where the reference is in the image; nothing else may come there."""
+    """Where the reference is in the image, its rim included: its inner half is measured, and none of it inspected."""
     target_dn: PositiveFloat
     """Its mean grey value at the recipe's exposure and lamp level, DN."""
     black_dn: float = Field(0.0, ge=0)
@@ -70,10 +73,29 @@ class Trim:
 
 
 def patch_mean_dn(image: Image, patch: Patch) -> float:
-    """Mean grey value of the patch, DN; NaN where it is not all in the image."""
-    rows = slice(patch.y_px, patch.y_px + patch.height_px)
-    part = image[rows, patch.x_px : patch.x_px + patch.width_px]
-    return float(part.mean()) if part.shape == (patch.height_px, patch.width_px) else math.nan
+    """Mean grey value of the patch's inner half, DN; NaN where the patch is not all in the image."""
+    whole = image[_area(patch)]
+    if whole.shape != (patch.height_px, patch.width_px):
+        return math.nan
+    return float(inner(image, patch).mean())
+
+
+def inner(image: Image, patch: Patch) -> Image:
+    """The patch without a quarter of its width and height at each side: what is measured."""
+    rim_x, rim_y = patch.width_px // 4, patch.height_px // 4
+    whole = image[_area(patch)]
+    return whole[rim_y : patch.height_px - rim_y, rim_x : patch.width_px - rim_x]
+
+
+def without(image: Image, patch: Patch) -> Image:
+    """A copy of the image in which the patch is as dark as the panel: a reference is no seed."""
+    blank = image.copy()
+    blank[_area(patch)] = np.median(image[::SPARSE, ::SPARSE])
+    return blank
+
+
+def _area(patch: Patch) -> tuple[slice, slice]:
+    return slice(patch.y_px, patch.y_px + patch.height_px), slice(patch.x_px, patch.x_px + patch.width_px)
 
 
 def fault_of_light(mean_dn: float, target_dn: float, tolerance: float) -> Fault:

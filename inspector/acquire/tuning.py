@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from firmware_bridge.contracts import CameraCapabilities
 from inspector.acquire import exposure, light
 from inspector.acquire.exposure import Automatic, Bounds, Level
@@ -49,16 +51,21 @@ class Tuning:
         """Raise LightWrong if the frame, taken at the present level, was not taken in the light that it should be."""
         if self._light is None:
             return
-        mean_dn, target_dn = light.patch_mean_dn(frame.image, self._light.patch), self._target_dn(self._light)
+        mean_dn, target_dn = self._over_black(frame, self._light)
         fault = light.fault_of_light(mean_dn, target_dn, self._light.tolerance)
         if fault:
-            message = f"reference patch at {mean_dn:.1f} DN, not {target_dn:.1f} within {self._light.tolerance:.0%}"
+            within = f"{target_dn:.1f} within {self._light.tolerance:.0%}"
+            message = f"reference patch at {mean_dn:.1f} DN over black, not {within}; {fault.remedy.lower()}"
             raise LightWrong(fault, message)
+
+    def to_inspect(self, frame: Frame) -> Frame:
+        """The frame without its reference patch."""
+        return frame if self._light is None else replace(frame, image=light.without(frame.image, self._light.patch))
 
     def trim(self, frame: Frame, now_s: float) -> None:
         """Trim the lamp by the reference patch of a frame that was taken at the present level."""
         if self._light is not None:
-            mean_dn, target_dn = light.patch_mean_dn(frame.image, self._light.patch), self._target_dn(self._light)
+            mean_dn, target_dn = self._over_black(frame, self._light)
             self._trim = light.trimmed(self._trim, mean_dn, target_dn, self.level.lamp_percent, self._light, now_s)
 
     def panel_done(self, result: FrameResult, camera: CameraCapabilities) -> None:
@@ -68,9 +75,12 @@ class Tuning:
             self._automatic.saw(exposure.brightness(result))
             self._automatic.panel_done(Bounds.of(automatic, camera))
 
-    def _target_dn(self, settings: LightSettings) -> float:
-        """What the patch should show: its target was measured at the recipe's level, the spots may have moved that."""
+    def _over_black(self, frame: Frame, settings: LightSettings) -> tuple[float, float]:
+        """What the patch shows and should show, DN over black: its target is that of the recipe's level, and the spots
+        may have moved that."""
         level, recipe = self._automatic.level, self._recipe
-        return (
-            settings.target_dn * (level.exposure_us * level.lamp_percent) / (recipe.exposure_us * recipe.lamp_percent)
-        )
+        moved = 1.0
+        if self.follows_spots:
+            moved = (level.exposure_us * level.lamp_percent) / (recipe.exposure_us * recipe.lamp_percent)
+        mean_dn = light.patch_mean_dn(frame.image, settings.patch)
+        return mean_dn - settings.black_dn, (settings.target_dn - settings.black_dn) * moved

@@ -36,7 +36,16 @@ def run(bulb: Any, minutes: float) -> list[tuple[float, Trim, Fault]]:
 def test_the_patch_is_a_rectangle_of_the_image_and_must_be_all_there() -> None:
     image = np.arange(40, dtype=np.uint8).reshape(5, 8)
     assert light.patch_mean_dn(image, PATCH) == image[1:3, 2:5].mean()
+    wide = Patch(x_px=0, y_px=0, width_px=8, height_px=4)
+    assert light.patch_mean_dn(image, wide) == image[1:3, 2:6].mean()
     assert math.isnan(light.patch_mean_dn(image, PATCH.model_copy(update={"x_px": 6})))
+
+
+def test_the_reference_is_not_inspected() -> None:
+    image = np.full((64, 64), 9, np.uint8)
+    image[1:3, 2:5] = 200
+    assert np.array_equal(light.without(image, PATCH), np.full((64, 64), 9))
+    assert image.max() == 200
 
 
 def test_an_ageing_bulb_is_made_up_for_within_a_percent_and_called_weak_well_before_it_is_refused() -> None:
