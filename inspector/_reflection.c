@@ -22,11 +22,11 @@ static void toward_lamp(const Scene *scene, const double *point, double out[3]) 
 
 static double mirrored(int axis) { return axis == 2 ? -1 : 1; }
 
-void reflection_rays(i64 n, const double *directions, double step, Ray *rays) {
+void reflection_rays(const Camera *camera, i64 n, const double *xy, double step, Ray *rays) {
     for (i64 i = 0; i < n; i++) {
         double d[3][3], j[2][3], gram[4], inverse[4];
         for (int m = 0; m < 3; m++) {
-            for (int k = 0; k < 3; k++) d[m][k] = directions[(m * n + i) * 3 + k];
+            camera_direction(camera, xy[2 * i] + (m == 1) * step, xy[2 * i + 1] + (m == 2) * step, d[m]);
             unit(d[m]);
         }
         for (int m = 0; m < 2; m++) {

@@ -2,9 +2,8 @@
 #ifndef INSPECTOR_REFLECTION_H
 #define INSPECTOR_REFLECTION_H
 #include <math.h>
-#include <stdint.h>
 
-typedef int64_t i64;
+#include "_optics.h"
 
 typedef struct {      /* the camera's centre, mm; the lamp's position, mm, or, where it is not near, its unit direction */
     double eye[3], lamp[3];
@@ -19,8 +18,8 @@ typedef struct {      /* place and radius (mm) with their covariance, the spare 
     double theta[3], covariance[9], chi2, direct_normal[3], mirror_normal[3];
 } Seed;
 
-/* Rays of n pixels from directions (3, n, 3): through the pixels, a step (px) to their right, a step below them. */
-void reflection_rays(i64 n, const double *directions, double step, Ray *rays);
+/* Rays of n pixels (n, 2); their derivatives from directions a step (px) to the right and below. */
+void reflection_rays(const Camera *camera, i64 n, const double *xy, double step, Ray *rays);
 
 /* Pixels from direct to mirror spot of a small seed at the ray's foot, per mm of radius. NaN where there is no foot. */
 void reflection_direction(const Scene *scene, const Ray *ray, double toward[2]);

@@ -7,12 +7,15 @@ coefficient that acts from the *distorted* to the undistorted sensor plane, then
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from inspector import native
 from inspector.model import FloatArray
+from inspector.native import out
 
 PARAMETERS = (
     "rotation_x_rad",
@@ -25,6 +28,9 @@ PARAMETERS = (
     "kappa1_per_mm2",
 )
 """What a fit adjusts in a camera, in the order of :meth:`Camera.perturbed`; a covariance is of these."""
+
+_CAMERA = struct.Struct("14d")
+_directions = native.function("inspector._optics", "camera_directions", "pipp")
 
 
 @dataclass(frozen=True)
@@ -58,10 +64,11 @@ class Camera:
         return np.array([self.dx_mm / self.sx, self.dy_mm])
 
     @cached_property
-    def _to_world(self) -> tuple[FloatArray, FloatArray]:
-        """What carries sensor coordinates (n, 2) mm to directions in the world: factor (2, 3) and sum (3,)."""
-        inverse: FloatArray = np.asarray(np.linalg.inv(self.rotation), np.float64)
-        return np.ascontiguousarray(inverse[:, :2].T), self.f_mm * inverse[:, 2]
+    def packed(self) -> bytes:
+        """What the C functions need to know where a pixel looks: `Camera` of `_optics.h`."""
+        inverse = np.linalg.inv(self.rotation)
+        to_world = [*inverse[:, 0], *inverse[:, 1], *(self.f_mm * inverse[:, 2])]
+        return _CAMERA.pack(self.kappa1_per_mm2, *self._origin_px, *self._pitch_mm, *to_world)
 
     def project(self, points_mm: FloatArray) -> FloatArray:
         """Pixels (n, 2) of world points (n, 3) mm. NaN behind the camera or beyond the distortion's reach."""
@@ -102,8 +109,9 @@ class Camera:
 
     def rays(self, xy_px: FloatArray) -> FloatArray:
         """Directions (n, 3) in the world, not normalised, from the centre through pixels (n, 2)."""
-        factor, offset = self._to_world
-        return np.asarray(self.undistort(self.sensor(xy_px)) @ factor + offset)
+        directions = np.empty((len(xy_px), 3))
+        _directions(self.packed, len(xy_px), np.asarray(xy_px, np.float64).tobytes(), out(directions))
+        return directions
 
     def back_project(self, xy_px: FloatArray, z_mm: float = 0.0) -> FloatArray:
         """Panel coordinates (n, 2) mm of pixels (n, 2), on the plane z = ``z_mm``; NaN if the ray never meets it."""

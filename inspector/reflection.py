@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -27,11 +28,10 @@ MOST_ROUNDS, SETTLED_MM = 200, 1e-12
 """Fixed-point rounds of the forward model: each wins three digits, fewer where the lamp glares into the camera."""
 STEP_PX = 0.1
 """Step of the rays' forward differences."""
-_STEPS_PX = np.array([[[0.0, 0.0]], [[STEP_PX, 0.0]], [[0.0, STEP_PX]]])
 RAY, _SEED = 9, 19
 """Doubles in a `Ray` and a `Seed` of `_reflection.h`."""
 _SCENE = struct.Struct("6dq")
-_rays = native.function("inspector._reflection", "reflection_rays", "ipdp")
+_rays = native.function("inspector._reflection", "reflection_rays", "pipdp")
 _directions = native.function("inspector._reflection", "reflection_directions", "pipp")
 _seeds = native.function("inspector._reflection", "reflection_seeds", "pippppp")
 
@@ -66,14 +66,14 @@ def rays(camera: Camera, xy_px: FloatArray) -> FloatArray:
 
     The latter is the pseudo-inverse of the direction's derivative by the pixel (forward differences).
     """
-    moved = (xy_px + _STEPS_PX).reshape(-1, 2)
     found = np.empty((len(xy_px), RAY))
-    _rays(len(xy_px), camera.rays(moved).tobytes(), STEP_PX, out(found))
+    _rays(camera.packed, len(xy_px), np.asarray(xy_px, np.float64).tobytes(), STEP_PX, out(found))
     return found
 
 
+@lru_cache(maxsize=4)
 def scene(calibration: Calibration) -> bytes:
-    """Camera centre and lamp as the C functions take them: `Scene` of `_reflection.h`."""
+    """Camera centre and lamp as the C functions take them: `Scene` of `_reflection.h`. Kept for the latest few."""
     light = calibration.light
     lamp = light.direction if light.position_mm is None else light.position_mm
     assert lamp is not None

@@ -51,6 +51,8 @@ def _matched(members: list[int], options: Options, most_states: int) -> list[int
 
     A state is the set of later members already used, as bits; of each the cheapest way there is kept.
     """
+    if len(members) == 2:
+        return [min(options[members[0]], key=lambda option: option[1])[2]]
     place = {x: n for n, x in enumerate(members)}
     states: dict[int, tuple[float, Way]] = {0: (0.0, None)}
     for n, x in enumerate(members):

@@ -104,14 +104,13 @@ def pair(spots: Highlights, calibration: Calibration) -> HighlightPairs:
         found = _alike(found, chosen, spots.flux_sigma)
         chosen = best_matching(found.direct, found.mirror, found.cost, WORTH)
     chosen = _outermost(found, chosen)
-    direct = np.array([found.direct[k] for k in chosen], np.intp)
-    mirror = np.array([found.mirror[k] for k in chosen], np.intp)
+    couples = np.array([[ends[k] for k in chosen] for ends in (found.direct, found.mirror)], np.intp)
+    flags = spots.flags[couples]
     left = np.ones(len(spots), np.bool_)
-    left[direct] = left[mirror] = False
+    left[couples] = False
     unpaired = left.nonzero()[0]
-    flags = spots.flags[direct] | spots.flags[mirror]
     why = _unpaired_flags(spots, rays, unpaired, found, chosen, calibration)
-    return HighlightPairs(direct, mirror, unpaired, flags, why, rays)
+    return HighlightPairs(couples[0], couples[1], unpaired, flags[0] | flags[1], why, rays)
 
 
 def candidates(spots: Highlights, rays: FloatArray, calibration: Calibration) -> Candidates:
