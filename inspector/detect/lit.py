@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from ctypes import byref, c_double
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -67,9 +67,7 @@ def background(image: Image) -> Background:
     mean of |differences| of a Gaussian is 2/sqrt(pi) standard deviations, and unlike a median it sees through rounding;
     the few that highlights make large are cut at three times the mean.
     """
-    (down, rows, deep), (right, columns, wide) = (
-        _samples(length, tiles) for length, tiles in zip(image.shape, (TILE_ROWS, TILE_COLUMNS), strict=True)
-    )
+    (down, rows, deep), (right, columns, wide) = _grid(image.shape)
     tiles, darkest, step = np.empty((rows, columns)), c_double(), c_double()
     done = _background(
         image.ctypes.data, image.itemsize, *image.shape, image.strides[0], down, right, rows, columns, deep, wide,
@@ -78,6 +76,12 @@ def background(image: Image) -> Background:
     if done < 0:
         raise MemoryError("no memory for the frame's background")
     return Background(tiles, max(step.value * HALF_ROOT_PI, LEAST_NOISE_DN), darkest.value)
+
+
+@lru_cache(maxsize=4)
+def _grid(shape: tuple[int, int]) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
+    """Down and across: the step between samples, how many tiles, how many samples in each. Kept for the latest few."""
+    return _samples(shape[0], TILE_ROWS), _samples(shape[1], TILE_COLUMNS)
 
 
 def _samples(length: int, tiles: int) -> tuple[int, int, int]:
