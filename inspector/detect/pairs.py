@@ -43,9 +43,6 @@ POOL_ODDS = 5.0
 PAINT_INDEX = 1.5
 """Refractive index of clear coats: 1.47 to 1.55."""
 
-
-UNABLE = int(Flag.HOT_PIXEL | Flag.TOO_SMALL | Flag.TOO_LARGE)
-"""Spots with one of these flags make no pair."""
 NO_SEED = int(Flag.HOT_PIXEL | Flag.TOO_SMALL | Flag.TOO_LARGE)
 """What has one of these flags is no seed's spot."""
 PROBE_RADIUS_MM = 0.5
@@ -118,7 +115,7 @@ def candidates(spots: Highlights, rays: FloatArray, calibration: Calibration) ->
 
     ``rays`` (n, 9) are the spots' (:func:`inspector.reflection.rays`).
     """
-    able = (spots.flags & UNABLE == 0).nonzero()[0]
+    able = (spots.flags & NO_SEED == 0).nonzero()[0]
     given = (able, spots.xy_px, spots.covariance_px2, spots.flux_dn, spots.flux_sigma, rays)
     arguments = (reflection.scene(calibration), _RULES, len(able), *(a.tobytes() for a in given))
     room, count = 0, COUPLES_A_SPOT * len(able) + 1
@@ -135,9 +132,9 @@ def _alike(found: Candidates, chosen: list[int], flux_sigma: FloatArray) -> Cand
     """The candidates, dearer where the seed would be unlike those ``chosen``: too bright or dark for its radius."""
     sizes = sorted(found.size[k] for k in chosen)
     usual = (sizes[(len(sizes) - 1) // 2] + sizes[len(sizes) // 2]) / 2
-    variance = (SIZE_SIGMA**2 + flux_sigma**2).tolist()
+    sigma = flux_sigma.tolist()
     cost = [
-        c + min((size - usual) ** 2 / variance[d] / 2, SIZE_COST)
+        c + min((size - usual) ** 2 / (SIZE_SIGMA**2 + sigma[d] ** 2) / 2, SIZE_COST)
         for c, size, d in zip(found.cost, found.size, found.direct, strict=True)
     ]
     return replace(found, cost=cost)

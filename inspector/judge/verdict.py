@@ -76,7 +76,7 @@ def _is_in(defect: Defect, zone: Zone) -> bool:
 def _is_known(defect: Defect) -> bool:
     """Whether height, uncertainty and place are numbers at all."""
     sigma_um = defect.height_sigma_um or 0.0
-    return sigma_um >= 0 and all(map(math.isfinite, (defect.height_um, sigma_um, defect.x_mm, defect.y_mm)))
+    return sigma_um >= 0 and math.isfinite(defect.height_um + sigma_um + defect.x_mm + defect.y_mm)
 
 
 def _guard_um(defect: Defect, limits: Limits) -> float:
