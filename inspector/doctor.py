@@ -25,7 +25,7 @@ from firmware_bridge.errors import BridgeError, NoTrigger
 from inspector import calibration_file, yaml_document
 from inspector.acquire.fresh import FreshFrames
 from inspector.publish.plc_server import PlcServer, PlcServerError
-from inspector.settings import Settings, SettingsError, check
+from inspector.settings import Settings, SettingsError, load
 
 EXIT_CAN_RUN, EXIT_CANNOT_RUN = 0, 1
 
@@ -87,7 +87,7 @@ def run(config: Path, as_json: bool, build: Build = factory.build) -> int:
 def examine(config: Path, build: Build = factory.build) -> Iterator[Finding]:
     """Every check, in order; what rests on settings that are refused is left out."""
     try:
-        settings = check(config)
+        settings = load(config)
     except SettingsError as error:
         for problem in error.problems:
             yield Finding("settings", State.FAILED, f"read {config}", str(problem), "correct it; see inspector config")

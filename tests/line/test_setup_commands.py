@@ -57,7 +57,6 @@ def test_the_report_is_data_too(station: Any, module: Callable[[], ModuleServer]
 
 def test_without_its_devices_each_is_named_with_what_to_do_and_the_rest_is_still_tried(station: Any) -> None:
     shutil.rmtree(station.frames)
-    station.frames.mkdir()
     seen = found(station.file)
     assert seen["device file"].state is State.FAILED
     assert (seen["module"].state, seen["lamp"].state) == (State.FAILED, State.SKIPPED)
