@@ -42,7 +42,7 @@ def test_the_table_has_a_line_for_each_row_and_says_where_and_with_what() -> Non
     lines = benchmark.table(report).splitlines()
     assert {"cpu: abacus", "opencv: 5.0", "opencv threads: 1", "not measured: sep"} <= set(lines)
     for n, what in enumerate(benchmark.MEANINGS):
-        of_this = [line.split()[-4:] for line in lines if line.startswith(f"  {what} ")]
+        of_this = [line.split()[-4:] for line in lines if line.startswith(f"  {what}  ")]
         assert of_this == [[f"{100 + n:.1f}", f"{200 + n:.1f}", "1.50", "0.2500"]] * len(SIZES) * len(CROWDS)
 
 
