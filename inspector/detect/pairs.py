@@ -22,8 +22,8 @@ from inspector.model import Flag, FloatArray, HighlightPairs, Highlights, IntArr
 from inspector.native import out
 from inspector.optics import Calibration
 
-LARGEST_RADIUS_MM = 12.0
-"""No candidate is larger: three times the largest seed of the thesis."""
+LARGEST_RADIUS_MM = 6.0
+"""No candidate is larger: 1.6 times the largest seed of the thesis. Specks far apart pair by chance the sooner."""
 BEND_SHARE, BEND_PX = 0.12, 1.5
 """First sieve: how far, as a share of the distance and in pixels, a mirror spot may lie beside the direction."""
 MODEL_SHARE = 0.008
