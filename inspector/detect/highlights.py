@@ -122,7 +122,7 @@ def _bend(tiles_dn: FloatArray) -> FloatArray:
             second = np.abs(np.diff(tiles_dn, 2, axis)).max(axis=1 - axis, keepdims=True)
             ends = [(1, 1) if a == axis else (0, 0) for a in (0, 1)]
             bend = np.maximum(bend, np.pad(second, ends, mode="edge"))
-    return np.asarray(bend * 0.4)
+    return np.asarray(bend / 2)
 
 
 def _lit(
