@@ -177,9 +177,10 @@ def _unpaired_flags(
     flags = spots.flags[unpaired]
     if len(unpaired) == 0:
         return flags
-    pool = _between(spots.xy_px, unpaired, found, chosen)
     fits = np.array([k in found.of_mirror or k in found.of_direct for k in unpaired.tolist()])
-    drawn_out, leaves = _alone(spots.xy_px[unpaired], spots.blur_px2[unpaired], rays[unpaired], calibration)
+    with np.errstate(invalid="ignore", divide="ignore"):  # a ray that misses the panel has no direction, and says no
+        pool = _between(spots.xy_px, unpaired, found, chosen)
+        drawn_out, leaves = _alone(spots.xy_px[unpaired], spots.blur_px2[unpaired], rays[unpaired], calibration)
     seed, dust = flags & NO_SEED == 0, flags & NO_DUST == 0
     rules = [pool, fits, seed & drawn_out, seed & leaves, dust]
     whats = [Flag.PAINT_POOL, Flag.AMBIGUOUS, Flag.MERGED, Flag.PARTNER_OUTSIDE_FRAME, Flag.DUST]
