@@ -6,8 +6,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import secrets
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -15,6 +13,7 @@ import numpy as np
 import yaml
 from pydantic import ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError, field_validator, model_validator
 
+from firmware_bridge import whole_file
 from inspector import optics, yaml_document
 from inspector.model import FloatArray
 from inspector.recipe import Strict
@@ -307,7 +306,7 @@ def save(path: Path, entry: CalibrationFile) -> None:
     text = yaml.safe_dump(
         entry.model_dump(mode="json", exclude_none=True), sort_keys=False, default_flow_style=None, width=120
     )
-    _replace(path, text)
+    whole_file.write(path, text)
 
 
 def _document(calibration: optics.Calibration) -> dict[str, object]:
@@ -333,21 +332,3 @@ def _document(calibration: optics.Calibration) -> dict[str, object]:
 
 def _fields(noun: optics.Camera | optics.Sensor) -> dict[str, object]:
     return {field.name: getattr(noun, field.name) for field in dataclasses.fields(noun)}
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write a file beside ``path``, to the disk, and only then give it its name."""
-    beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-    try:
-        with beside.open("x", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
-    directory = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(directory)  # the new name too is on the disk when this returns
-    finally:
-        os.close(directory)

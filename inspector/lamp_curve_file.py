@@ -9,7 +9,6 @@ samples:
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from firmware_bridge import whole_file
 from firmware_bridge.settings import LevelVolts
 from firmware_bridge.wire import lamp_curve
 from inspector import yaml_document
@@ -58,10 +58,4 @@ def write(path: Path, samples: Sequence[tuple[float, float]], measured_at: datet
     lamp_curve.from_samples(samples)
     lines = [f"version: 1\nmeasured_at: {measured_at.isoformat(timespec='seconds')}\nsamples:  # volts, light\n"]
     lines += [f"  - [{float(level_v)!r}, {float(light)!r}]\n" for level_v, light in sorted(samples)]
-    fresh = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        fresh.write_text("".join(lines), encoding="utf-8")
-        fresh.replace(path)
-    except OSError:
-        fresh.unlink(missing_ok=True)
-        raise
+    whole_file.write(path, "".join(lines))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
 import yaml
+
+from firmware_bridge import whole_file
 
 
 class CannotEdit(ValueError):
@@ -21,14 +22,7 @@ def change(path: Path, place: tuple[str, ...], values: Mapping[str, float]) -> N
     text = path.read_text(encoding="utf-8")
     for key, value in values.items():
         text = changed(text, place, key, f"{value:g}")
-    fresh = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        fresh.write_text(text, encoding="utf-8")
-        fresh.chmod(path.stat().st_mode)
-        fresh.replace(path)
-    except OSError:
-        fresh.unlink(missing_ok=True)
-        raise
+    whole_file.write(path, text)
 
 
 def changed(text: str, place: tuple[str, ...], key: str, value: str) -> str:

@@ -9,10 +9,10 @@ from __future__ import annotations
 import json
 import logging
 import math
-import os
 from collections.abc import Callable
 from pathlib import Path
 
+from firmware_bridge import whole_file
 from firmware_bridge.wire.lamp_burn import Burn, at_level, burnt
 
 SAVE_EVERY_HOURS = 0.1
@@ -73,7 +73,7 @@ class BurnHours:
         if self._file is None:
             return
         try:
-            _write(self._file, json.dumps({"burnt_hours": round(hours, 4)}) + "\n")
+            whole_file.write(self._file, json.dumps({"burnt_hours": round(hours, 4)}) + "\n")
         except OSError as error:
             self._complain(f"cannot be written ({error}): hours are kept in memory only")
 
@@ -90,17 +90,3 @@ def _hours(text: str) -> float:
     if isinstance(hours, bool) or not isinstance(hours, int | float) or not math.isfinite(hours) or hours < 0:
         raise ValueError('not {"burnt_hours": NUMBER}')
     return float(hours)
-
-
-def _write(file: Path, text: str) -> None:
-    """Replace the file whole: after a power cut it is the old one or the new one."""
-    fresh = file.with_name(f".{file.name}.{os.getpid()}")
-    try:
-        with fresh.open("w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        fresh.replace(file)
-    except OSError:
-        fresh.unlink(missing_ok=True)
-        raise
