@@ -55,7 +55,7 @@ def run(config: Path, *, frames: int, settle_s: float, write: bool, build: Build
         level = _judged(steps)
         typer.echo(f"\nrecipe:\n  exposure_us: {level.exposure_us:g}\n  lamp_percent: {level.lamp_percent:g}")
         if write:
-            typer.echo(f"\nwritten to {_write(config, level)}")
+            typer.echo(f"\nwritten to {_write(config, station.settings.recipe.id, level)}")
         return bench.EXIT_DONE
 
     return bench.run(config, work, settle_s=settle_s, build=build)
@@ -112,15 +112,27 @@ def _judged(steps: Sequence[Step]) -> Level:
     return last.level
 
 
-def _write(config: Path, level: Level) -> Path:
+def _write(config: Path, recipe_id: int, level: Level) -> Path:
     """Write the level into the recipe, in the settings file or its own. Raises NotPossible, OSError."""
-    from inspector import yaml_document
-
-    data = yaml_document.read(config).data
-    recipe = data.get("recipe") if isinstance(data, dict) else None
-    path, place = (config.parent / recipe, ()) if isinstance(recipe, str) else (config, ("recipe",))
+    path, place = _where(config, recipe_id)
     try:
         yaml_edit.change(path, place, {"exposure_us": level.exposure_us, "lamp_percent": level.lamp_percent})
     except yaml_edit.CannotEdit as error:
         raise NotPossible(f"{path}: {error}") from error
     return path
+
+
+def _where(config: Path, recipe_id: int) -> tuple[Path, tuple[str, ...]]:
+    """The file that the recipe stands in, and its place there. Raises NotPossible, OSError."""
+    from inspector import recipe_folder, yaml_document
+
+    data = yaml_document.read(config).data
+    said = data if isinstance(data, dict) else {}
+    recipe, recipes = said.get("recipe"), said.get("recipes")
+    if recipes is None:
+        return (config.parent / recipe, ()) if isinstance(recipe, str) else (config, ("recipe",))
+    for path in recipe_folder.files(config.parent / recipes) if isinstance(recipes, str) else ():
+        found = yaml_document.read(path).data
+        if isinstance(found, dict) and found.get("id") == recipe_id:
+            return path, ()
+    raise NotPossible(f"{config}: recipe {recipe_id} has no file of its own; write its level by hand")

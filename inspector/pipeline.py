@@ -28,13 +28,7 @@ class Station:
     def area_m2(self) -> float:
         """The panel's area in view, square metres: the outline of the frame carried to the panel (0 if it is not all
         on the panel)."""
-        camera = self.calibration.camera
-        w, h = camera.width_px, camera.height_px
-        corners = np.array([[-0.5, -0.5], [w - 0.5, -0.5], [w - 0.5, h - 0.5], [-0.5, h - 0.5]])
-        edge = np.concatenate(
-            [np.linspace(a, b, 17)[:-1] for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)]
-        )
-        x, y = camera.back_project(edge).T
+        x, y = self.calibration.camera.outline_mm().T
         area_mm2 = abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))) / 2
         return area_mm2 / 1e6 if np.isfinite(area_mm2) else 0.0
 

@@ -5,6 +5,9 @@ Frozen and strict; the stages take these models as they are.
 
 from __future__ import annotations
 
+import hashlib
+import json
+from collections.abc import Iterable
 from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, model_validator
@@ -35,11 +38,9 @@ class Detection(Strict):
     """A frame with a larger share of lit pixels is refused as lit all over."""
 
 
-class Zone(Strict):
-    """A rectangle of the panel with limits of its own (the stricter of its own and the panel's holds)."""
+class Rectangle(Strict):
+    """A rectangle of the panel, its edges along the world's axes."""
 
-    name: str = Field(min_length=1)
-    """Name shown in reasons."""
     x_min_mm: float
     """Left edge on the panel, mm."""
     x_max_mm: float
@@ -48,6 +49,28 @@ class Zone(Strict):
     """Lower edge on the panel, mm."""
     y_max_mm: float
     """Upper edge on the panel, mm."""
+
+    def overlaps(self, other: Rectangle) -> bool:
+        """Whether the two have a point in common."""
+        across = self.x_min_mm <= other.x_max_mm and other.x_min_mm <= self.x_max_mm
+        return across and self.y_min_mm <= other.y_max_mm and other.y_min_mm <= self.y_max_mm
+
+    def __str__(self) -> str:
+        return f"x {self.x_min_mm:g} to {self.x_max_mm:g}, y {self.y_min_mm:g} to {self.y_max_mm:g} mm"
+
+    @model_validator(mode="after")
+    def _has_extent(self) -> Self:
+        for low, high in (("x_min_mm", "x_max_mm"), ("y_min_mm", "y_max_mm")):
+            if not getattr(self, low) < getattr(self, high):
+                raise ValueError(f"{low} must be below {high}, {getattr(self, high):g}")
+        return self
+
+
+class Zone(Rectangle):
+    """A rectangle of the panel with limits of its own (the stricter of its own and the panel's holds)."""
+
+    name: str = Field(min_length=1)
+    """Name shown in reasons."""
     max_height_um: PositiveFloat | None = None
     """A defect higher than this fails the panel, um; null: no limit of its own."""
     max_count: int | None = Field(None, ge=0)
@@ -130,3 +153,14 @@ class Recipe(Strict):
             allowed = f"{ranges.lamp_min_percent:g} to {ranges.lamp_max_percent:g}"
             raise ValueError(f"lamp_percent {self.lamp_percent:g} is outside automatic_exposure, {allowed}")
         return self
+
+
+def content_hash(recipe: Recipe) -> int:
+    """32 bits of SHA-256 of what the recipe says, defaults filled in: the same for the same content."""
+    text = json.dumps(recipe.model_dump(mode="json"), sort_keys=True)
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
+
+
+def find(recipes: Iterable[Recipe], wanted: object) -> Recipe | None:
+    """The recipe of this id (a whole number) or name (a text); None if there is none."""
+    return next((r for r in recipes if wanted in (r.id, r.name) and not isinstance(wanted, bool)), None)

@@ -9,20 +9,21 @@ import hashlib
 import ipaddress
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, PositiveFloat
 
 from firmware_bridge import settings as bridge
-from inspector import lamp_curve_file, yaml_document
+from inspector import lamp_curve_file, recipe_folder, recipe_proof, yaml_document
 from inspector.acquire.light import LightSettings
 from inspector.calibration_file import CalibrationError
 from inspector.calibration_file import read as read_calibration
-from inspector.recipe import Recipe, Strict
-from inspector.yaml_document import Document, Problem
+from inspector.recipe import Recipe, Strict, find
+from inspector.yaml_document import Document, Place, Problem
 
 
 class SettingsError(ValueError):
@@ -123,9 +124,16 @@ class CycleSettings(Strict):
 
 
 def _or_file(schema: dict[str, Any]) -> None:
-    """A recipe may stand in a file of its own: say so in the JSON schema."""
+    """A recipe may stand in a file of its own, or be one of ``recipes``: say so in the JSON schema."""
     reference = schema.pop("$ref")
-    schema["anyOf"] = [{"$ref": reference}, {"type": "string", "description": "File of the recipe"}]
+    text = {"type": "string", "description": "File of the recipe; with recipes given, the name of one"}
+    schema["anyOf"] = [{"$ref": reference}, text, {"type": "integer", "description": "With recipes: the id of one"}]
+
+
+def _or_folder(schema: dict[str, Any]) -> None:
+    """Recipes are mostly the files of a folder: say so in the JSON schema."""
+    in_place = {"type": schema.pop("type"), "items": schema.pop("items")}
+    schema["anyOf"] = [in_place, {"type": "string", "description": "Folder with a YAML file for each recipe"}]
 
 
 class Settings(Strict):
@@ -144,7 +152,13 @@ class Settings(Strict):
     plc: PlcSettings = PlcSettings()
     """What the PLC polls."""
     recipe: Recipe = Field(Recipe(), json_schema_extra=_or_file)
-    """What the paint colour and part type decide; in place, or the name of a file that has it."""
+    """What the paint colour and part type decide; in place, or the name of a file that has it; where `recipes` are
+    given, the id or name of one of them."""
+    recipes: tuple[Recipe, ...] = Field((), strict=False, json_schema_extra=_or_folder)
+    """Recipes that PLC and people choose from, each with an id and a name of its own: a folder of files, or in
+    place."""
+    recipe_choice_file: Annotated[Path, Field(strict=False)] | None = None
+    """File in which the PLC's last choice of a recipe is kept over restarts; null: `recipe` holds after each."""
     cycle: CycleSettings = CycleSettings()
     """The inspection cycle."""
     light: LightSettings | None = None
@@ -157,6 +171,7 @@ class Settings(Strict):
                 "calibration": folder / self.calibration,
                 "camera": self.camera.under(folder),
                 "lamp": self.lamp.under(folder),
+                "recipe_choice_file": self.recipe_choice_file and folder / self.recipe_choice_file,
             },
         )
 
@@ -183,12 +198,16 @@ def load_devices(path: Path) -> DeviceSettings:
 
 def load(path: Path) -> Settings:
     """The settings in a file, with its calibration file looked through. Raises SettingsError with every problem."""
-    document = _with_lamp_curve(_with_recipe(yaml_document.read(path), path.parent), path.parent)
+    document, choice = _with_recipes(_with_lamp_curve(yaml_document.read(path), path.parent), path.parent)
     settings, problems = yaml_document.validate(document, Settings)
     if isinstance(document.data, dict):
         problems += tuple(_joint_problems(document, document.data, path.parent))
         problems += tuple(_port_problems(document, settings.model_dump() if settings else document.data))
+    if settings and settings.recipes:
+        settings, unknown = _choosing(document, settings, choice)
+        problems += unknown
     if settings:
+        problems += tuple(_recipe_problems(document, settings, path.parent))
         problems += (*_pace_problems(document, settings), *_trigger_problems(document, settings))
         problems += tuple(_patch_problems(document, settings, path.parent))
     if settings is None or problems:
@@ -209,16 +228,59 @@ def check(path: Path) -> Settings:
 def configuration_hash(settings: Settings) -> int:
     """32 bits that change when any setting, or the calibration file's content, does. Raises OSError."""
     folder = settings.calibration.parent  # paths count relative to it, so that a moved installation keeps its hash
-    values = settings.model_dump(exclude={"calibration": True, "lamp": {"hours_file"}})
+    values = settings.model_dump(exclude={"calibration": True, "lamp": {"hours_file"}, "recipe_choice_file": True})
     text = json.dumps(values, sort_keys=True, default=lambda path: os.path.relpath(path, folder)).encode()
     digest = hashlib.sha256(text + settings.calibration.read_bytes()).digest()
     return int.from_bytes(digest[:4], "big")
 
 
-def _with_recipe(document: Document, folder: Path) -> Document:
-    """The document with its recipe's own file, if it names one, taken in."""
-    recipe = document.data.get("recipe") if isinstance(document.data, dict) else None
-    return document.including("recipe", yaml_document.read(folder / recipe)) if isinstance(recipe, str) else document
+def with_recipe(settings: Settings, wanted: int | str) -> Settings:
+    """The settings with another of their recipes, by id or name. Raises SettingsError, naming those there are."""
+    chosen = find(settings.recipes or (settings.recipe,), wanted)
+    if chosen is None:
+        raise SettingsError((Problem("", "recipe", repr(wanted), _choices(settings.recipes or (settings.recipe,))),))
+    return settings.model_copy(update={"recipe": chosen})
+
+
+def _choices(recipes: Sequence[Recipe]) -> str:
+    listed = ", ".join(f"{recipe.id} ({recipe.name})" for recipe in sorted(recipes, key=lambda r: r.id))
+    return f"no such recipe; allowed: {listed}"
+
+
+def _with_recipes(document: Document, folder: Path) -> tuple[Document, object]:
+    """The document with its recipes' own files taken in; and which of ``recipes`` it chooses, not itself validated."""
+    if not isinstance(document.data, dict):
+        return document, None
+    recipe, recipes = document.data.get("recipe"), document.data.get("recipes")
+    if isinstance(recipes, str):
+        document = document.including("recipes", recipe_folder.document(folder / recipes))
+    if recipes is None:
+        if isinstance(recipe, str):
+            document = document.including("recipe", yaml_document.read(folder / recipe))
+        return document, None
+    assert isinstance(document.data, dict)
+    data = {key: value for key, value in document.data.items() if key != "recipe"}
+    document = replace(document, data=data)
+    return replace(document, problems=(*document.problems, *recipe_folder.not_unique(document))), recipe
+
+
+def _choosing(document: Document, settings: Settings, choice: object) -> tuple[Settings | None, tuple[Problem, ...]]:
+    """The settings with the recipe chosen among ``recipes``; of one recipe, that one needs no choice."""
+    chosen = settings.recipes[0] if choice is None and len(settings.recipes) == 1 else find(settings.recipes, choice)
+    if chosen is None:
+        return None, (document.problem(("recipe",), choice, _choices(settings.recipes)),)
+    return settings.model_copy(update={"recipe": chosen}), ()
+
+
+def _recipe_problems(document: Document, settings: Settings, folder: Path) -> Iterator[Problem]:
+    """What in a recipe does not fit the station, for every recipe that may come to be used."""
+    with suppress(CalibrationError):  # said already
+        camera = read_calibration(folder / settings.calibration).camera
+        panel, reach = recipe_proof.seen_by(camera), (settings.lamp.curve[0][0], settings.lamp.curve[-1][0])
+        for n, recipe in enumerate(settings.recipes or (settings.recipe,)):
+            place: Place = ("recipes", n) if settings.recipes else ("recipe",)
+            for below, value, allowed in recipe_proof.misfits(recipe, reach, panel):
+                yield document.problem((*place, *below), value, allowed)
 
 
 def _with_lamp_curve(document: Document, folder: Path) -> Document:

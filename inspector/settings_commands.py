@@ -29,7 +29,10 @@ def show(file: Path) -> int:
         found = settings.load(file)
     except SettingsError as error:
         return _refused(error)
-    yaml.safe_dump(found.model_dump(mode="json"), sys.stdout, sort_keys=False, allow_unicode=True)
+    values = found.model_dump(mode="json")
+    if found.recipes:
+        values["recipe"] = found.recipe.id
+    yaml.safe_dump(values, sys.stdout, sort_keys=False, allow_unicode=True)
     return 0
 
 

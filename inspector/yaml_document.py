@@ -60,7 +60,8 @@ class Document:
         if part.data is not None or not part.problems:
             data[key] = part.data
         marks = self.marks | {(key, *place): mark for place, mark in part.marks.items()}
-        problems = tuple(replace(p, path=".".join(filter(None, (key, p.path)))) for p in part.problems)
+        joint = {p.path: f"{key}{p.path}" if p.path.startswith("[") else f"{key}.{p.path}" for p in part.problems}
+        problems = tuple(replace(p, path=joint[p.path].rstrip(".")) for p in part.problems)
         return Document(self.source, data, marks, self.problems + problems)
 
 
@@ -196,10 +197,10 @@ def _child(node: Schema, part: int | str) -> Schema:
 
 
 def _plain(node: Schema, root: Schema) -> Schema:
-    """The schema itself where there is a reference to it; of alternatives the model, or the one that is not null."""
+    """The schema itself where there is a reference to it; of alternatives the model, the list, or what is not null."""
     while True:
         choices = [choice for choice in node.get("anyOf", ()) if choice.get("type") != "null"]
-        models = [choice for choice in choices if "$ref" in choice] or choices
+        models = [choice for choice in choices if "$ref" in choice or "items" in choice] or choices
         if "$ref" in node:
             node = root["$defs"][node["$ref"].removeprefix("#/$defs/")]
         elif len(models) == 1:
