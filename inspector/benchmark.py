@@ -155,7 +155,7 @@ def _stages(case: Case) -> dict[str, Callable[[], object]]:
         )
     area_m2 = case.station.area_m2
     return {
-        BACKGROUND: lambda: lit.background(image),
+        BACKGROUND: lambda: lit.background(kernel.packed(image)),
         SPOTS: lambda: _find_spots(case, found.threshold_dn),
         HIGHLIGHTS: lambda: highlights.find(image, recipe.detection, calibration.sensor),
         PAIRS: lambda: pairs.pair(found, calibration),
@@ -167,13 +167,13 @@ def _stages(case: Case) -> dict[str, Callable[[], object]]:
 
 def _find_spots(case: Case, threshold_dn: float) -> spots.Spots:
     """What `highlights.find` does before it fits."""
-    image, detection = kernel.packed(case.frame.image), case.station.recipe.detection
-    lit.background(image)
-    most = int(detection.max_lit_fraction * image.size) + 1
+    pixels, detection = kernel.packed(case.frame.image), case.station.recipe.detection
+    lit.background(pixels)
+    most = int(detection.max_lit_fraction * pixels.image.size) + 1
     clipped_dn = Response(case.station.calibration.sensor, 0.0, 0.0, 0.0).clipped_dn
-    found = kernel.detect(image, np.array([[threshold_dn]]), most, clipped_dn, highlights.HOT_SHARE)
+    found = kernel.detect(pixels, np.array([[threshold_dn]]), most, clipped_dn, highlights.HOT_SHARE)
     assert found is not None
-    return spots.find_spots(image, found, clipped_dn)
+    return spots.find_spots(pixels.image, found, clipped_dn)
 
 
 def _yardsticks(case: Case, others: dict[str, Any]) -> dict[str, Callable[[], object]]:

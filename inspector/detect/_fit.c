@@ -4,11 +4,11 @@
 enum { X, Y, LOG_PEAK, SXX, SXY, SYY, BACKGROUND, SLOPE_X, SLOPE_Y, PARAMETERS };
 enum { SHAPE = 6 };
 
-typedef struct {      /* how grey values become light, what is clipped, and when a fit has settled; see fit.py */
+struct Rules {      /* how grey values become light, what is clipped, and when a fit has settled; see fit.py */
     double black, gamma, clipped, full, level, read_dn, shot_per_dn, pattern;
     double threshold, least_radius, most_radius, tangled_px, damping, settled_px, held_share, free_share, steep_share;
     i64 bloom_rows, bloom_columns, rounds;
-} Rules;
+};
 
 typedef struct {      /* the spots' windows: light, weight and clipped (n, p); offsets (p); neighbours as lists */
     i64 n, p;
@@ -204,38 +204,36 @@ static int ascending(const void *a, const void *b) {
 }
 
 /* Expect of the spots that are not typical the median blur of those that are, as it stands. */
-static void expect_usual_blur(i64 n, const double *theta, const uint8_t *typical, double *expected, double *room) {
+static void expect_usual_blur(i64 n, const double *theta, const Given *spots, double *expected, double *room) {
     for (int a = SXX; a <= SYY; a++) {
         i64 m = 0;
         for (i64 i = 0; i < n; i++)
-            if (typical[i]) room[m++] = theta[i * PARAMETERS + a];
+            if (spots[i].typical) room[m++] = theta[i * PARAMETERS + a];
         if (!m) return;
         qsort(room, (size_t)m, sizeof *room, ascending);
         double middle = 0.5 * (room[(m - 1) / 2] + room[m / 2]);
         for (i64 i = 0; i < n; i++)
-            if (!typical[i]) expected[i * PARAMETERS + a] = middle;
+            if (!spots[i].typical) expected[i * PARAMETERS + a] = middle;
     }
 }
 
-enum { GIVEN_GROUND, GIVEN_AREA, GIVEN_CLIPPED, GIVEN_NARROW, GIVEN_X, GIVEN_Y, GIVEN };      /* a spot as given */
-
 /* First guess of a spot. A Gaussian of peak P covers 2 pi s^2 ln(P/T) pixels above a threshold T. */
-static void guess(const Image *im, const Rules *u, const double *spot, const i64 *centre, double *t) {
-    double level = spot[GIVEN_GROUND], clipped = spot[GIVEN_CLIPPED], area = spot[GIVEN_AREA];
+static void guess(const Image *im, const Rules *u, const Given *spot, const i64 *centre, double *t) {
+    double level = spot->ground, clipped = spot->clipped, area = spot->area;
     double base = linear(u, level), threshold = linear(u, fmax(u->threshold, level + 1));
     double peak = fmax((clipped > 0 ? u->full : linear(u, grey(im, centre[1], centre[0]))) - base, 1);
     double ring = clipped > 0 ? fmax(area - clipped, 4) : area;
     double blur = ring / (2 * PI * log(fmax(peak / (threshold - base), 1.3)));
     blur = fmin(fmax(blur, 0.25), 16);
     memset(t, 0, PARAMETERS * sizeof *t);
-    t[X] = spot[GIVEN_X] - (double)centre[0], t[Y] = spot[GIVEN_Y] - (double)centre[1];
-    t[LOG_PEAK] = log(peak) + fmin(spot[GIVEN_NARROW] * spot[GIVEN_NARROW] / (8 * blur), 5);
+    t[X] = spot->x - (double)centre[0], t[Y] = spot->y - (double)centre[1];
+    t[LOG_PEAK] = log(peak) + fmin(spot->narrow * spot->narrow / (8 * blur), 5);
     t[SXX] = t[SYY] = blur, t[BACKGROUND] = base;
 }
 
 /* Radius of a spot's window: its component's share and some background around it. */
-static double window_radius(const Rules *u, const double *spot) {
-    return fmin(fmax(ceil(sqrt(spot[GIVEN_AREA] / PI)) + 2, u->least_radius), u->most_radius);
+static double window_radius(const Rules *u, const Given *spot) {
+    return fmin(fmax(ceil(sqrt(spot->area / PI)) + 2, u->least_radius), u->most_radius);
 }
 
 static void set_prior(const Rules *u, const double *start, int typical, double *prior) {
@@ -282,10 +280,6 @@ static double fit_round(const Work *w, const Rules *u, const i64 *centre, const 
     return most;
 }
 
-/* Columns of what the fit found of a spot; fit.py reads them by the same numbers. */
-enum { FOUND_X, FOUND_Y, VARIANCE_X, COVARIANCE_XY, VARIANCE_Y, PEAK, FLUX, BLUR2, CHI2, MISFIT_X, MISFIT_Y, MISFIT_SIGMA,
-       GROUND, BLUR_XX, BLUR_XY, BLUR_YY, FOUND };
-
 /* What the fit found of spot i: chi2 is per degree of freedom, the misfit where the data exceed the model most. */
 static void report(const Work *w, i64 i, const i64 *centre, const double *t, const double *normal, double *found) {
     double a[PARAMETERS * PARAMETERS], right[PARAMETERS * 2] = {0}, sum = 0, worst = -INFINITY;
@@ -302,22 +296,21 @@ static void report(const Work *w, i64 i, const i64 *centre, const double *t, con
     }
     double blur2 = sqrt(fmax(t[SXX] * t[SYY] - t[SXY] * t[SXY], 1e-6)), peak = exp(t[LOG_PEAK]);
     found[FOUND_X] = (double)centre[0] + t[X], found[FOUND_Y] = (double)centre[1] + t[Y];
-    found[VARIANCE_X] = fine ? right[0] : NAN, found[COVARIANCE_XY] = right[1], found[VARIANCE_Y] = right[3];
-    found[PEAK] = peak, found[FLUX] = 2 * PI * blur2 * peak, found[BLUR2] = blur2;
-    found[CHI2] = sum / (double)(used > PARAMETERS + 1 ? used - PARAMETERS : 1);
-    found[MISFIT_X] = (double)centre[0] + w->dx[where], found[MISFIT_Y] = (double)centre[1] + w->dy[where];
-    found[MISFIT_SIGMA] = isfinite(worst) ? worst : 0;
-    found[BLUR_XX] = t[SXX], found[BLUR_XY] = t[SXY], found[BLUR_YY] = t[SYY];
+    found[FOUND_VARIANCE_X] = fine ? right[0] : NAN, found[FOUND_COVARIANCE_XY] = right[1], found[FOUND_VARIANCE_Y] = right[3];
+    found[FOUND_PEAK] = peak, found[FOUND_FLUX] = 2 * PI * blur2 * peak, found[FOUND_BLUR2] = blur2;
+    found[FOUND_CHI2] = sum / (double)(used > PARAMETERS + 1 ? used - PARAMETERS : 1);
+    found[FOUND_MISFIT_X] = (double)centre[0] + w->dx[where], found[FOUND_MISFIT_Y] = (double)centre[1] + w->dy[where];
+    found[FOUND_MISFIT_SIGMA] = isfinite(worst) ? worst : 0;
+    found[FOUND_BLUR_XX] = t[SXX], found[FOUND_BLUR_XY] = t[SXY], found[FOUND_BLUR_YY] = t[SYY];
 }
 
 static double *take(double **pool, i64 count) { double *p = *pool; *pool += count; return p; }
 
-/* Fit n spots given as rows of (ground's grey value, component's area, clipped pixels, lobe's lesser extent, x, y):
- * what was found goes to `found` (n, FOUND). Returns the rounds taken, or -1 without memory. */
-i64 kernel_fit(const Image *im, const Rules *u, i64 n, const double *spots, const uint8_t *typical, double *found) {
+/* Fit n spots; what was found goes to `found` (n, FOUND). Returns the rounds taken, or -1 without memory. */
+i64 kernel_fit(const Image *im, const Rules *u, i64 n, const Given *spots, double *found) {
     const i64 Q = PARAMETERS;
     double widest = u->least_radius;
-    for (i64 i = 0; i < n; i++) widest = fmax(widest, window_radius(u, spots + GIVEN * i));
+    for (i64 i = 0; i < n; i++) widest = fmax(widest, window_radius(u, spots + i));
     i64 span = (i64)widest, p = 0, most_p = (2 * span + 1) * (2 * span + 1), rounds = -1;
     i64 doubles = 2 * most_p + n * most_p * (3 + Q) + n * Q * (Q + 5) + n;
     double *memory = malloc((size_t)doubles * sizeof *memory), *pool = memory;
@@ -336,17 +329,17 @@ i64 kernel_fit(const Image *im, const Rules *u, i64 n, const double *spots, cons
         double *normal = take(&pool, n * Q * Q), *gradient = take(&pool, n * Q), *step = take(&pool, n * Q);
         double *expected = take(&pool, n * Q), *prior = take(&pool, n * Q), *theta = take(&pool, n * Q), *room = take(&pool, n);
         for (i64 i = 0; i < n; i++) {
-            const double *spot = spots + GIVEN * i;
-            centre[2 * i] = (i64)rint(spot[GIVEN_X]), centre[2 * i + 1] = (i64)rint(spot[GIVEN_Y]);
+            const Given *spot = spots + i;
+            centre[2 * i] = (i64)rint(spot->x), centre[2 * i + 1] = (i64)rint(spot->y);
             guess(im, u, spot, centre + 2 * i, theta + i * Q);
             cut(im, u, &w, i, centre + 2 * i, window_radius(u, spot));
-            set_prior(u, theta + i * Q, typical[i], prior + i * Q);
-            found[i * FOUND + GROUND] = theta[i * Q + BACKGROUND];
+            set_prior(u, theta + i * Q, spots[i].typical, prior + i * Q);
+            found[i * FOUND + FOUND_GROUND] = theta[i * Q + BACKGROUND];
         }
         find_neighbours(&w, u, 2 * widest, centre, tangle);
         memcpy(expected, theta, (size_t)(n * Q) * sizeof *theta);
         for (rounds = 0; rounds < u->rounds; rounds++) {
-            if (rounds) expect_usual_blur(n, theta, typical, expected, room);
+            if (rounds) expect_usual_blur(n, theta, spots, expected, room);
             double moved = fit_round(&w, u, centre, tangle, expected, prior, theta, normal, gradient, step, members);
             if (moved < u->settled_px) break;
         }

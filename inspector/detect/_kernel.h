@@ -11,6 +11,14 @@
 
 typedef int64_t i64;
 
+/* Loops worth compiling for wide vectors too; the loader takes what the processor has. Without fused multiply-add: a
+ * result is the same on every x86-64. Elsewhere the plain build already has the processor's vectors. */
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
+#define WIDE __attribute__((target_clones("avx2", "default")))
+#else
+#define WIDE
+#endif
+
 typedef struct {      /* a grey image of 1 or 2 bytes a pixel; rows lie `stride` bytes apart */
     const uint8_t *data;
     i64 bytes, height, width, stride;
@@ -20,6 +28,19 @@ static inline double grey(const Image *im, i64 row, i64 column) {
     const uint8_t *p = im->data + row * im->stride;
     return im->bytes == 1 ? p[column] : ((const uint16_t *)p)[column];
 }
+
+/* Columns of a spot's row in the table that kernel_detect fills; spots.py reads them by the same numbers. */
+enum { CENTRE_X, CENTRE_Y, COMPONENT, SATURATED_PX, NARROW_PX, LONGER_PX, COMPONENT_PX, COMPONENT_X, COMPONENT_Y, AT_EDGE,
+       IS_HOT, COLUMNS };
+
+/* A spot before its fit: the ground's grey value, its share of its component's pixels, how many of its own are clipped, the
+ * clipped lobe's lesser extent, where it is, and whether it shows the frame's usual blur. */
+typedef struct { double ground, area, clipped, narrow, x, y; int typical; } Given;
+
+/* Columns of what the fit found of a spot; fit.py reads them by the same numbers. */
+enum { FOUND_X, FOUND_Y, FOUND_VARIANCE_X, FOUND_COVARIANCE_XY, FOUND_VARIANCE_Y, FOUND_PEAK, FOUND_FLUX, FOUND_BLUR2,
+       FOUND_CHI2, FOUND_MISFIT_X, FOUND_MISFIT_Y, FOUND_MISFIT_SIGMA, FOUND_GROUND, FOUND_BLUR_XX, FOUND_BLUR_XY,
+       FOUND_BLUR_YY, FOUND };
 
 /* Union-find with path halving; roots are the least index of their set. */
 static inline i64 root(i64 *parent, i64 x) {
@@ -32,6 +53,9 @@ static inline void join(i64 *parent, i64 a, i64 b) {
     if (a < b) parent[b] = a; else parent[a] = b;
 }
 
+double background_at(i64 height, i64 width, i64 rows, i64 columns, const double *tiles, double row, double column);
+typedef struct Rules Rules;
+i64 kernel_fit(const Image *im, const Rules *u, i64 n, const Given *spots, double *found);
 int kernel_solve(i64 m, double *a, i64 k, double *right);
 
 #endif

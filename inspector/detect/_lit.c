@@ -5,13 +5,13 @@
  */
 #include "_kernel.h"
 
-static unsigned peak_u8(const uint8_t *p, i64 n) {
+WIDE static unsigned peak_u8(const uint8_t *p, i64 n) {
     uint8_t m = 0;
     for (i64 i = 0; i < n; i++) m = p[i] > m ? p[i] : m;
     return m;
 }
 
-static unsigned peak_u16(const uint16_t *p, i64 n) {
+WIDE static unsigned peak_u16(const uint16_t *p, i64 n) {
     uint16_t m = 0;
     for (i64 i = 0; i < n; i++) m = p[i] > m ? p[i] : m;
     return m;
@@ -24,7 +24,7 @@ static unsigned block_peak(const Image *im, const uint8_t *row, i64 begin, i64 e
 }
 
 /* Component numbers of n pixels in row-major order, 8-connected; returns their count, or -1 without memory. */
-i64 kernel_components(i64 n, const i64 *rows, const i64 *columns, i64 *label) {
+static i64 components_of(i64 n, const i64 *rows, const i64 *columns, i64 *label) {
     i64 *parent = malloc((size_t)(n ? n : 1) * sizeof *parent);
     if (!parent) return -1;
     i64 above = 0;      /* first pixel of the row above that may still touch */
@@ -116,10 +116,6 @@ static int is_hot(const Image *im, i64 r, i64 c, double share) {
     return sum - 4 * ground < share * (grey(im, r, c) - ground);
 }
 
-/* Columns of a spot's row in the table that kernel_detect fills; spots.py reads them by the same numbers. */
-enum { CENTRE_X, CENTRE_Y, COMPONENT, SATURATED_PX, NARROW_PX, LONGER_PX, COMPONENT_PX, COMPONENT_X, COMPONENT_Y, AT_EDGE,
-       IS_HOT, COLUMNS };
-
 /* Rows of `spots` for the clipped plateaus, in order of first pixel: plateau numbers of the clipped pixels are in
  * `plateau`, -1 elsewhere. Returns their count, or -1 without memory. */
 static i64 find_plateaus(i64 n, const i64 *rows, const i64 *columns, const double *values, const i64 *label,
@@ -130,7 +126,7 @@ static i64 find_plateaus(i64 n, const i64 *rows, const i64 *columns, const doubl
         plateau[i] = -1;
         if (values[i] >= saturated) clipped[m] = i, r[m] = rows[i], c[m++] = columns[i];
     }
-    i64 count = kernel_components(m, r, c, number);
+    i64 count = components_of(m, r, c, number);
     for (i64 k = 0; k < count && k < room; k++) memset(spots + k * COLUMNS, 0, COLUMNS * sizeof *spots);
     for (i64 k = 0; k < m && count > 0; k++) {
         double *s = spots + number[k] * COLUMNS;
@@ -169,19 +165,33 @@ static int describe(const Image *im, i64 n, const i64 *rows, const i64 *columns,
     return 1;
 }
 
-/* Lit pixels with component and plateau, and the table of spots, each as far as there is room. `counts` gets how many
- * lit pixels, components, spots and plateaus there are. Returns 0, -1 past `most` lit pixels, -2 without memory. */
+/* How long the clipped plateaus are: the longest one's greater extent, the mean of tall less wide, and its largest size. */
+enum { LONGEST, MEAN_TALLER, MOST_TALLER };
+
+static void sum_up(i64 plateaus, const double *spots, double *extent) {
+    memset(extent, 0, 3 * sizeof *extent);
+    for (i64 k = 0; k < plateaus; k++) {
+        const double *s = spots + k * COLUMNS;
+        extent[LONGEST] = fmax(extent[LONGEST], s[NARROW_PX] + fabs(s[LONGER_PX]));
+        extent[MOST_TALLER] = fmax(extent[MOST_TALLER], fabs(s[LONGER_PX]));
+        extent[MEAN_TALLER] += s[LONGER_PX] / (double)plateaus;
+    }
+}
+
+typedef struct { i64 lit, components, spots, plateaus; } Counts;
+
+/* Lit pixels, (4, room) of them: rows, columns, component and plateau; their values; and the table of spots, each as far as
+ * there is room. `counts` gets how many of each there are; `told` the largest grey value and the plateaus' extent. Returns
+ * 0, -1 past `most` lit pixels, -2 without memory. */
 i64 kernel_detect(const Image *im, const double *tiles, i64 tr, i64 tc, i64 most, double saturated, double hot_share,
-                  i64 room, i64 *rows, i64 *columns, double *values, i64 *label, i64 *plateau, i64 spot_room,
-                  double *spots, i64 *counts, double *largest) {
-    i64 n = find_lit(im, tiles, tr, tc, most, room, rows, columns, values, largest);
-    counts[0] = n;
+                  i64 room, i64 *pixels, double *values, i64 spot_room, double *spots, Counts *counts, double *told) {
+    i64 *rows = pixels, *columns = rows + room, *label = columns + room, *plateau = label + room;
+    i64 n = counts->lit = find_lit(im, tiles, tr, tc, most, room, rows, columns, values, told);
     if (n < 0) return -1;
     if (n > room) return 0;
-    i64 components = kernel_components(n, rows, columns, label);
-    i64 count = find_plateaus(n, rows, columns, values, label, saturated, plateau, spot_room, spots);
+    i64 components = counts->components = components_of(n, rows, columns, label);
+    i64 count = counts->plateaus = find_plateaus(n, rows, columns, values, label, saturated, plateau, spot_room, spots);
     if (components < 0 || count < 0) return -2;
-    counts[3] = count;
     for (i64 i = 0; i < n; i++) {
         if (!is_peak(im, rows[i], columns[i], values[i], saturated)) continue;
         if (count < spot_room) {
@@ -191,7 +201,8 @@ i64 kernel_detect(const Image *im, const double *tiles, i64 tr, i64 tc, i64 most
         }
         count++;
     }
-    counts[1] = components, counts[2] = count;
+    counts->spots = count;
     if (count > spot_room) return 0;
+    sum_up(counts->plateaus, spots, told + 1);
     return describe(im, n, rows, columns, label, components, hot_share, count, spots) ? 0 : -2;
 }

@@ -4,7 +4,9 @@ A seed's highlight is 0.04 to 0.2 px wide for a 1 mm seed, so what the sensor sh
 Gaussian (J. Anderson, I. King, PASP 112, 2000, say why a fitted profile beats a centroid on under-sampled spots).
 A clipped pixel asks only that the model be at least as bright: the flanks carry the position. Where charge blooms,
 clipped pixels and the ends of their runs tell nothing. Neighbours are subtracted with their own latest model, and
-spots that touch are solved together. The loops are in `_fit.c`; this file sets what they go by.
+spots that touch are solved together. The blur of spots that are not typical, the clipped ones above all, is held near
+that of those that are: flanks tell position well but blur badly. The loops are in `_fit.c`; this file sets what they
+go by.
 """
 
 from __future__ import annotations
@@ -14,10 +16,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from inspector.detect import kernel
-from inspector.model import FloatArray, Image
+from inspector.model import FloatArray
 from inspector.optics import Sensor
 
 X, Y, VARIANCE_X, COVARIANCE_XY, VARIANCE_Y, PEAK, FLUX, BLUR2, CHI2 = range(9)
@@ -127,20 +127,3 @@ class Fitted:
     def misfit_px(self) -> FloatArray:
         """The pixel (n, 2) where the data exceed the model most."""
         return self.table[:, MISFIT_X : MISFIT_Y + 1]
-
-
-def fit(
-    image: Image,
-    response: Response,
-    bloom: tuple[int, int],
-    threshold_dn: float,
-    spots: FloatArray,
-    typical: npt.NDArray[np.bool_],
-) -> Fitted:
-    """Fit n spots at once, each in a round window as large as its share of its component asks for.
-
-    ``spots`` (n, 6): the ground's grey value, the component's share in pixels, clipped pixels, the clipped lobe's
-    lesser extent, x, y. The blur of spots that are not ``typical`` (n,), the clipped ones above all, is held near that
-    of those that are: flanks tell position well but blur badly.
-    """
-    return Fitted(kernel.fit(image, response.rules(bloom, threshold_dn), spots, typical.tobytes()))

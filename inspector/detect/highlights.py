@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,19 +10,9 @@ import numpy as np
 from inspector.detect import bloom, kernel
 from inspector.detect import fit as fitting
 from inspector.detect import lit as lit_stage
-from inspector.detect.fit import Response
+from inspector.detect.fit import Fitted, Response
 from inspector.detect.lit import Background
-from inspector.detect.spots import (
-    AT_EDGE,
-    COMPONENT_PX,
-    COMPONENT_X,
-    COMPONENT_Y,
-    IS_HOT,
-    NARROW_PX,
-    SATURATED_PX,
-    Spots,
-    find_spots,
-)
+from inspector.detect.spots import COMPONENT_PX, COMPONENT_X, COMPONENT_Y, Spots, find_spots
 from inspector.model import Flag, FloatArray, Highlights, Image, IntArray, Reason
 from inspector.optics import Sensor
 from inspector.recipe import Detection
@@ -32,10 +23,10 @@ BLACK_SHARE = 0.008
 """A frame with nothing above this share of full scale (2 of 255 DN) is black: a live sensor shows more noise."""
 HOT_SHARE = 0.25
 """A lens spreads every spot: four neighbours together under this share of the peak make it a hot pixel."""
-SYSTEMATIC_PX2 = 0.006**2 * np.eye(2)
-"""Covariance of what a perfect fit still misses: the profile is not quite a Gaussian (found on rendered spots)."""
-NEVER_TYPICAL = int(Flag.SATURATED | Flag.HOT_PIXEL)
-NOT_TYPICAL = NEVER_TYPICAL | int(Flag.TOUCHING)
+SYSTEMATIC_PX2 = 0.006**2
+"""Variance along each axis of what a perfect fit still misses: the profile is not quite a Gaussian (rendered spots)."""
+NEVER_TYPICAL = Flag.SATURATED | Flag.HOT_PIXEL
+NOT_TYPICAL = NEVER_TYPICAL | Flag.TOUCHING
 """Spots with one of these flags do not tell the frame's usual blur; touching ones do where there are no others."""
 BLOOM_SIGMA_PX = 0.03
 """Standard deviation of a bloomed spot's charge centroid (found on rendered spots)."""
@@ -49,6 +40,15 @@ LOST_PX = 2.5
 """A fit that ends further from where it started is not believed."""
 LOST_SIGMA_PX = 0.5
 """Standard deviation given to a centre whose fit was not believed."""
+FLAG_BITS = tuple(
+    int(flag)
+    for flag in (
+        *(Flag.SATURATED, Flag.TOUCHING, Flag.TOO_SMALL, Flag.TOO_LARGE, Flag.AT_EDGE, Flag.HOT_PIXEL),
+        *(NEVER_TYPICAL, NOT_TYPICAL),
+    )
+)
+"""The bits that `_measure.c` sets and asks for, as it takes them."""
+_STANDARDS = struct.Struct("8d8q")
 
 
 class FrameRefused(ValueError):
@@ -61,9 +61,9 @@ class FrameRefused(ValueError):
 
 @dataclass(frozen=True)
 class View:
-    """A frame before its spots are measured: packed image, what is lit, ground, response, threshold, what was asked."""
+    """A frame before its spots are measured: pixels, what is lit, ground, response, threshold, what was asked."""
 
-    image: Image
+    pixels: kernel.Pixels
     lit: kernel.Detected
     ground: Background
     response: Response
@@ -76,14 +76,14 @@ def find(image: Image, detection: Detection, sensor: Sensor) -> Highlights:
 
     ``image`` (H, W) uint8 or uint16 of any stride. Raises FrameRefused for a frame that is black or lit all over.
     """
-    image = kernel.packed(image)
-    ground = lit_stage.background(image)
-    sensor = _full_scale(image, sensor)
+    pixels = kernel.packed(image)
+    ground = lit_stage.background(pixels)
+    sensor = _full_scale(pixels.image, sensor)
     response = Response(sensor, ground.level_dn, ground.noise_dn, ground.black_dn)
     thresholds = _thresholds(detection, ground, sensor.saturation_dn)
-    lit = _lit(image, thresholds, response, ground, detection)
-    view = View(image, lit, ground, response, float(thresholds.max()), detection)
-    return _measured(view, find_spots(image, lit, response.clipped_dn))
+    lit = _lit(pixels, thresholds, response, ground, detection)
+    view = View(pixels, lit, ground, response, float(thresholds.max()), detection)
+    return _measured(view, find_spots(pixels.image, lit, response.clipped_dn))
 
 
 def _full_scale(image: Image, sensor: Sensor) -> Sensor:
@@ -102,13 +102,13 @@ def _thresholds(detection: Detection, ground: Background, full_dn: float) -> Flo
             f"the frame is lit all over (median {ground.level_dn:.0f} of {full_dn:.0f} DN): shield it, expose less",
         )
     if detection.threshold_dn is not None:
-        return np.array([[detection.threshold_dn]])
-    tiles = ground.tiles_dn.max(keepdims=True) if ground.flat() else ground.tiles_dn + _bend(ground.tiles_dn)
+        return np.array([[float(detection.threshold_dn)]])
+    tiles = np.array([[ground.brightest_dn]]) if ground.flat() else ground.tiles_dn + _bend(ground.tiles_dn)
     thresholds = tiles + detection.threshold_sigma * ground.noise_dn
     if thresholds.max() >= full_dn:
         raise FrameRefused(
             Reason.FRAME_OVERLIT,
-            f"no highlight could stand out everywhere: background up to {ground.tiles_dn.max():.0f} DN, noise"
+            f"no highlight could stand out everywhere: background up to {ground.brightest_dn:.0f} DN, noise"
             f" {ground.noise_dn:.0f} DN, full scale {full_dn:.0f} DN: shield the panel, check the camera's link",
         )
     return np.asarray(thresholds)
@@ -126,11 +126,11 @@ def _bend(tiles_dn: FloatArray) -> FloatArray:
 
 
 def _lit(
-    image: Image, thresholds: FloatArray, response: Response, ground: Background, detection: Detection
+    pixels: kernel.Pixels, thresholds: FloatArray, response: Response, ground: Background, detection: Detection
 ) -> kernel.Detected:
     """The lit pixels, or FrameRefused where the frame shows that it is no dark panel with a few highlights."""
-    most = int(detection.max_lit_fraction * image.size) + 1
-    lit = kernel.detect(image, thresholds, most, response.clipped_dn, HOT_SHARE)
+    most = int(detection.max_lit_fraction * pixels.image.size) + 1
+    lit = kernel.detect(pixels, thresholds, most, response.clipped_dn, HOT_SHARE)
     if lit is None:
         raise FrameRefused(
             Reason.FRAME_OVERLIT,
@@ -156,24 +156,21 @@ def _measured(view: View, spots: Spots) -> Highlights:
     if len(spots) == 0:
         return none(view)
     spots, measured = _with_hidden(view, spots, _measure(view, spots))
-    solved: list[bloom.Solved] = []
     if any(spots.bloom):
-        crowd, solved = bloom.refine(view.image, view.lit, spots, measured.fitted, view.response)
+        crowd, solved = bloom.refine(view.pixels.image, view.lit, spots, Fitted(measured.found), view.response)
         if crowd is not spots:
             spots, measured = crowd, _measure(view, crowd)
-    found = _believed(measured, spots)
-    if any(spots.bloom):
-        _place_bloomed(view, spots, measured.fitted, solved, found)
+        _place_bloomed(view, spots, measured, solved)
     return Highlights(
-        xy_px=found.xy_px,
-        covariance_px2=found.covariance_px2,
-        flux_dn=found.flux_dn,
-        flux_sigma=found.flux_sigma,
-        peak_dn=measured.fitted.table[:, fitting.PEAK],
+        xy_px=measured.xy_px,
+        covariance_px2=measured.covariance_px2,
+        flux_dn=measured.flux_dn,
+        flux_sigma=measured.flux_sigma,
+        peak_dn=measured.found[:, fitting.PEAK],
         area_px=spots.table[:, COMPONENT_PX].astype(np.intp),
         flags=measured.flags,
         binary_px=spots.table[:, COMPONENT_X : COMPONENT_Y + 1],
-        blur_px2=measured.fitted.table[:, fitting.BLUR_XX : fitting.BLUR_YY + 1],
+        blur_px2=measured.found[:, fitting.BLUR_XX : fitting.BLUR_YY + 1],
         threshold_dn=view.threshold_dn,
         background_dn=view.ground.level_dn,
         noise_dn=view.ground.noise_dn,
@@ -181,68 +178,48 @@ def _measured(view: View, spots: Spots) -> Highlights:
     )
 
 
-@dataclass(frozen=True)
-class Measured:
-    """The fit of n spots, their flags (n,), and whether any of them showed the frame's blur unclipped."""
+def _measure(view: View, spots: Spots) -> kernel.Measured:
+    """Flag and fit all spots: `kernel_measure` of `_measure.c`.
 
-    fitted: fitting.Fitted
-    flags: IntArray
-    blur_known: bool
-
-
-def _measure(view: View, spots: Spots) -> Measured:
-    """Fit all spots."""
-    crowd = np.bincount(spots.component, minlength=view.lit.components)[spots.component]
-    flags = _flags(view.detection, spots, crowd)
-    typical = flags & NOT_TYPICAL == 0
-    if not typical.any():
-        typical = flags & NEVER_TYPICAL == 0
-    centre = np.rint(spots.centre_px).astype(np.intp)
-    given = np.empty((len(spots), 6))
-    given[:, 0] = view.ground.at(centre[:, 1], centre[:, 0], view.image.shape)
-    given[:, 1] = spots.table[:, COMPONENT_PX] / crowd
-    given[:, 2:4] = spots.table[:, SATURATED_PX : NARROW_PX + 1]
-    given[:, 4:] = spots.centre_px
-    fitted = fitting.fit(view.image, view.response, spots.bloom, view.threshold_dn, given, typical)
-    return Measured(fitted, flags, bool(typical.any()))
+    Where a fit ran away the plain centre is taken, known badly. The flux of a clipped spot hangs on its blur: in a
+    frame that shows none unclipped it is little more than a guess.
+    """
+    rules = view.response.rules(spots.bloom, view.threshold_dn)
+    standards = _standards(view.detection)
+    return kernel.measure(view.pixels, view.ground.tiles_dn, rules, standards, view.lit.components, spots.table)
 
 
-def _flags(detection: Detection, spots: Spots, crowd: IntArray) -> IntArray:
-    """Flags (n,) of each spot; ``crowd`` (n,) counts the spots of its component."""
-    table, area = spots.table, spots.table[:, COMPONENT_PX] / crowd
-    flags: IntArray = spots.clipped * int(Flag.SATURATED)
-    flags += (crowd > 1) * int(Flag.TOUCHING)
-    flags += (area < detection.min_area_px) * int(Flag.TOO_SMALL)
-    flags += (area > detection.max_area_px) * int(Flag.TOO_LARGE)
-    flags += (table[:, AT_EDGE] > 0) * int(Flag.AT_EDGE)
-    flags += (table[:, IS_HOT] > 0) * int(Flag.HOT_PIXEL)
-    return flags
+def _standards(detection: Detection) -> bytes:
+    """`Standards` of `_measure.c`."""
+    areas = (detection.min_area_px, detection.max_area_px)
+    fluxes = (FLUX_SIGMA, CLIPPED_FLUX_SIGMA, BLOOM_FLUX_SIGMA)
+    return _STANDARDS.pack(*areas, LOST_PX, LOST_SIGMA_PX**2, SYSTEMATIC_PX2, *fluxes, *FLAG_BITS)
 
 
-def _with_hidden(view: View, spots: Spots, measured: Measured) -> tuple[Spots, Measured]:
+def _with_hidden(view: View, spots: Spots, measured: kernel.Measured) -> tuple[Spots, kernel.Measured]:
     """The spots with those that hid in poor fits, as far as each earns its place."""
     hosts = _hidden(spots, measured)
     if len(hosts) == 0:
         return spots, measured
-    places = measured.fitted.misfit_px[hosts]
+    places = Fitted(measured.found).misfit_px[hosts]
     trial = _measure(view, spots.with_more(hosts, places))
-    proven = _proven(measured.fitted, trial.fitted, hosts)
+    proven = _proven(Fitted(measured.found), Fitted(trial.found), hosts)
     if len(proven) == 0:
         return spots, measured
     spots = spots.with_more(hosts[proven], places[proven])
     return spots, trial if len(proven) == len(hosts) else _measure(view, spots)
 
 
-def _hidden(spots: Spots, measured: Measured) -> IntArray:
+def _hidden(spots: Spots, measured: kernel.Measured) -> IntArray:
     """Spots (m,) whose poor fit may hide another, at their largest misfit."""
-    fitted = measured.fitted
-    poor = (fitted.chi2 > HIDDEN_CHI2) & (fitted.table[:, fitting.MISFIT_SIGMA] > HIDDEN_SIGMA)
+    found = measured.found
+    poor = (found[:, fitting.CHI2] > HIDDEN_CHI2) & (found[:, fitting.MISFIT_SIGMA] > HIDDEN_SIGMA)
     if any(spots.bloom):
         poor &= ~spots.clipped
     return np.flatnonzero(poor & (measured.flags & Flag.HOT_PIXEL == 0))
 
 
-def _proven(before: fitting.Fitted, after: fitting.Fitted, hosts: IntArray) -> IntArray:
+def _proven(before: Fitted, after: Fitted, hosts: IntArray) -> IntArray:
     """Which of the added spots (indices into ``hosts``) earn their place: the host's misfit falls by half or more."""
     added = np.arange(len(before), len(after))
     apart = np.hypot(*(after.xy_px[added] - after.xy_px[hosts]).T)
@@ -252,51 +229,23 @@ def _proven(before: fitting.Fitted, after: fitting.Fitted, hosts: IntArray) -> I
     return np.flatnonzero(better & stayed & bright & (apart > LEAST_APART_PX))
 
 
-@dataclass(frozen=True)
-class Believed:
-    """Centres (n, 2), covariance (n, 2, 2), flux (n,) and the deviation (n,) of its logarithm; filled in place."""
-
-    xy_px: FloatArray
-    covariance_px2: FloatArray
-    flux_dn: FloatArray
-    flux_sigma: FloatArray
-
-
-def _believed(measured: Measured, spots: Spots) -> Believed:
-    """What the fit is taken to say: where it ran away, the plain centre, known badly.
-
-    The flux of a clipped spot hangs on its blur: in a frame that shows none unclipped it is little more than a guess.
-    """
-    fitted, clipped_sigma = measured.fitted, CLIPPED_FLUX_SIGMA if measured.blur_known else BLOOM_FLUX_SIGMA
-    xy, flux = fitted.xy_px.copy(), fitted.table[:, fitting.FLUX].copy()
-    covariance = fitted.covariance_px2 * np.maximum(fitted.chi2, 1.0)[:, None, None] + SYSTEMATIC_PX2
-    away = np.abs(xy - spots.centre_px).max(axis=1)
-    fine = (away < LOST_PX) & (flux > 0) & (flux < np.inf) & np.isfinite(covariance).all(axis=(1, 2))
-    if not fine.all():
-        lost = ~fine
-        covariance[lost], xy[lost] = LOST_SIGMA_PX**2 * np.eye(2), spots.centre_px[lost]
-        peak = fitted.table[lost, fitting.PEAK]
-        flux[lost] = np.where(np.isfinite(peak), np.maximum(peak, 1.0), 1.0)
-    return Believed(xy, covariance, flux, np.where(spots.clipped, clipped_sigma, FLUX_SIGMA))
-
-
-def _place_bloomed(
-    view: View, spots: Spots, fitted: fitting.Fitted, solved: list[bloom.Solved], found: Believed
-) -> None:
+def _place_bloomed(view: View, spots: Spots, measured: kernel.Measured, solved: list[bloom.Solved]) -> None:
     """Clipped spots of a blooming frame: lone ones by their charge, those that touch by the fit of their cluster.
 
-    A lone spot's charge is moved less by uneven ground under it than a fit is.
+    A lone spot's charge is moved less by uneven ground under it than a fit is. ``measured`` is set anew in place.
     """
-    centroid, charge = bloom.charge(view.lit, spots, fitted.table[:, fitting.GROUND], view.response)
+    xy, covariance = measured.xy_px, measured.covariance_px2
+    flux, flux_sigma = measured.flux_dn, measured.flux_sigma
+    centroid, charge = bloom.charge(view.lit, spots, measured.found[:, fitting.GROUND], view.response)
     clipped = spots.clipped
-    found.xy_px[clipped], found.covariance_px2[clipped] = centroid[clipped], BLOOM_SIGMA_PX**2 * np.eye(2)
-    found.flux_dn[clipped], found.flux_sigma[clipped] = charge[clipped], BLOOM_FLUX_SIGMA
+    xy[clipped], covariance[clipped] = centroid[clipped], BLOOM_SIGMA_PX**2 * np.eye(2)
+    flux[clipped], flux_sigma[clipped] = charge[clipped], BLOOM_FLUX_SIGMA
     for cluster in solved:
         members = cluster.cluster.members
         if len(members) > 1:
-            found.xy_px[members], found.flux_dn[members] = cluster.places, cluster.fluxes
-            found.covariance_px2[members] = cluster.place_covariance + BLOOM_SIGMA_PX**2 * np.eye(2)
-            found.flux_sigma[members] = CLIPPED_FLUX_SIGMA
+            xy[members], flux[members] = cluster.places, cluster.fluxes
+            covariance[members] = cluster.place_covariance + BLOOM_SIGMA_PX**2 * np.eye(2)
+            flux_sigma[members] = CLIPPED_FLUX_SIGMA
 
 
 def none(view: View) -> Highlights:

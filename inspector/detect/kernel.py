@@ -1,4 +1,4 @@
-"""The compiled inner loops of detection (`_lit.c`, `_fit.c`, `_bloom.c`) with arrays for pointers."""
+"""The compiled inner loops of detection (`_lit.c`, `_measure.c`, `_fit.c`, `_bloom.c`) with arrays for pointers."""
 
 from __future__ import annotations
 
@@ -13,27 +13,31 @@ from inspector.model import FloatArray, Image, IntArray
 from inspector.native import out
 
 _MODULE = "inspector.detect._kernel"
-_components = native.function(_MODULE, "kernel_components", "ippp")
-_detect = native.function(_MODULE, "kernel_detect", "ppiiiddipppppippp")
-_fit = native.function(_MODULE, "kernel_fit", "ppippp")
+_detect = native.function(_MODULE, "kernel_detect", "ppiiiddippippp")
+_measure = native.function(_MODULE, "kernel_measure", "piipppiipppp")
 _bloom_fit = native.function(_MODULE, "bloom_fit", "iiippddippippp")
 
 SPOT_COLUMNS, FOUND_COLUMNS = 11, 16
-"""Columns of the tables that `kernel_detect` and `kernel_fit` fill; the C files number them."""
+"""Columns of the tables of spots and of what the fit found; `_kernel.h` numbers them."""
 LIT_ROOM, SPOT_ROOM = 4096, 256
 """Room for lit pixels and spots at first; a fuller frame is gone through again with as much as it needs."""
+_IMAGE = struct.Struct("P4q")
 
 
-def packed(image: Image) -> Image:
-    """The image with each row's pixels side by side and in native byte order; a copy only where it is needed."""
-    if image.strides[1] == image.itemsize and image.dtype.isnative and image.strides[0] >= 0:
-        return image
-    return image.astype(np.uint8, order="C") if image.itemsize == 1 else image.astype(np.uint16, order="C")
+@dataclass(frozen=True)
+class Pixels:
+    """An image (H, W) with each row's pixels side by side, and the same as the C functions take it."""
+
+    image: Image
+    described: bytes
+    """`Image` of `_kernel.h`: good as long as ``image`` is."""
 
 
-def _packed_image(image: Image) -> bytes:
-    """The image as the kernel takes it; ``image`` must be :func:`packed` and outlive the call."""
-    return struct.pack("P4q", image.ctypes.data, image.itemsize, *image.shape, image.strides[0])
+def packed(image: Image) -> Pixels:
+    """The image in native byte order, rows packed; a copy only where it is needed."""
+    if not (image.strides[1] == image.itemsize and image.dtype.isnative and image.strides[0] >= 0):
+        image = image.astype(np.uint8, order="C") if image.itemsize == 1 else image.astype(np.uint16, order="C")
+    return Pixels(image, _IMAGE.pack(image.ctypes.data, image.itemsize, *image.shape, image.strides[0]))
 
 
 @dataclass(frozen=True)
@@ -41,37 +45,37 @@ class Detected:
     """Lit pixels (m,) in row-major order with their component and clipped plateau (-1: not clipped); spots (n, 11).
 
     The first ``plateaus`` spots are clipped plateaus, the others local maxima; ``largest`` is the frame's largest DN.
+    ``longest_px`` is the greatest extent of a plateau; ``mean_taller_px`` how much taller than wide they are on
+    average, ``most_taller_px`` the largest size of that.
     """
 
     rows: IntArray
     columns: IntArray
-    grey_dn: FloatArray
     component: IntArray
     plateau: IntArray
+    grey_dn: FloatArray
     spots: FloatArray
     components: int
     plateaus: int
     largest: float
+    longest_px: float
+    mean_taller_px: float
+    most_taller_px: float
 
 
 def detect(
-    image: Image, thresholds_dn: FloatArray, most: int, saturated_dn: float, hot_share: float
+    pixels: Pixels, thresholds_dn: FloatArray, most: int, saturated_dn: float, hot_share: float
 ) -> Detected | None:
     """Pixels above thresholds given at tile centres (rows, columns), and the spots in them; None past ``most`` pixels.
 
     Between tile centres thresholds are bilinear, and go on straight beyond them. Raises MemoryError.
     """
-    rows_of_tiles, columns_of_tiles = thresholds_dn.shape
-    tiles = thresholds_dn.astype(np.float64).tobytes()
+    given = (pixels.described, thresholds_dn.tobytes(), *thresholds_dn.shape, most, saturated_dn, hot_share)
     room, spot_room = LIT_ROOM, SPOT_ROOM
     while True:
         places, grey, table = np.empty((4, room), np.int64), np.empty(room), np.empty((spot_room, SPOT_COLUMNS))
-        counts, largest = np.zeros(4, np.int64), c_double()
-        done = _detect(
-            _packed_image(image), tiles, rows_of_tiles, columns_of_tiles, most, saturated_dn, hot_share, room,
-            out(places[0]), out(places[1]), out(grey), out(places[2]), out(places[3]), spot_room, out(table),
-            out(counts), byref(largest),
-        )  # fmt: skip
+        counts, told = np.zeros(4, np.int64), np.zeros(4)
+        done = _detect(*given, room, out(places), out(grey), spot_room, out(table), out(counts), out(told))
         if done == -1:
             return None
         if done < 0:
@@ -80,29 +84,43 @@ def detect(
         if lit <= room and spots <= spot_room:
             rows, columns, component, plateau = places[:, :lit]
             return Detected(
-                rows, columns, grey[:lit], component, plateau, table[:spots], components, plateaus, largest.value
+                rows, columns, component, plateau, grey[:lit], table[:spots], components, plateaus, *told.tolist()
             )
         room, spot_room = max(room, lit), max(spot_room, spots)
 
 
-def components(rows: IntArray, columns: IntArray) -> IntArray:
-    """8-connected component numbers (n,) of pixels given in row-major order, in order of first pixel.
+@dataclass(frozen=True)
+class Measured:
+    """n spots: flags (n,), what the fit found (n, 16), and of it what is believed.
 
-    Raises MemoryError.
+    That is: centres (n, 2), their covariance (n, 2, 2), flux (n,) and the deviation (n,) of its logarithm.
     """
-    label = np.empty(len(rows), np.int64)
-    if _components(len(rows), rows.astype(np.int64).tobytes(), columns.astype(np.int64).tobytes(), out(label)) < 0:
-        raise MemoryError("no memory for the frame's components")
-    return label
+
+    flags: IntArray
+    found: FloatArray
+    xy_px: FloatArray
+    covariance_px2: FloatArray
+    flux_dn: FloatArray
+    flux_sigma: FloatArray
 
 
-def fit(image: Image, rules: bytes, spots: FloatArray, typical: bytes) -> FloatArray:
-    """Fit n spots given as rows (n, 6); what was found (n, 16). See fit.py. Raises MemoryError."""
+def measure(
+    pixels: Pixels, tiles_dn: FloatArray, rules: bytes, standards: bytes, components: int, spots: FloatArray
+) -> Measured:
+    """Flag and fit the spots of a table (n, 11). Raises MemoryError.
+
+    ``tiles_dn`` (rows, columns) is the ground at tile centres; ``rules`` are fit.py's, ``standards`` highlights.py's.
+    """
     n = len(spots)
-    found = np.empty((n, FOUND_COLUMNS))
-    if _fit(_packed_image(image), rules, n, spots.tobytes(), typical, out(found)) < 0:
+    flags, found, believed = np.empty(n, np.int64), np.empty((n, FOUND_COLUMNS)), np.empty(8 * n)
+    done = _measure(
+        pixels.described, *tiles_dn.shape, tiles_dn.tobytes(), rules, standards, components, n, spots.tobytes(),
+        out(flags), out(found), out(believed),
+    )  # fmt: skip
+    if done < 0:
         raise MemoryError(f"no memory to fit {n} spots")
-    return found
+    xy, covariance = believed[: 2 * n].reshape(n, 2), believed[2 * n : 6 * n].reshape(n, 2, 2)
+    return Measured(flags, found, xy, covariance, believed[6 * n : 7 * n], believed[7 * n :])
 
 
 @dataclass(frozen=True)

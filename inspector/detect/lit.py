@@ -7,14 +7,14 @@ work is in proportion to what is lit. The loops are in `_lit.c` and `_background
 from __future__ import annotations
 
 import math
-from ctypes import byref, c_double
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 
 from inspector import native
-from inspector.model import FloatArray, Image, IntArray
+from inspector.detect.kernel import Pixels
+from inspector.model import FloatArray
 from inspector.native import out
 
 TILE_ROWS, TILE_COLUMNS, SAMPLES = 6, 8, 8
@@ -23,59 +23,41 @@ LEAST_NOISE_DN = 0.5
 """Noise assumed at the least: quantisation hides what is smaller."""
 HALF_ROOT_PI = math.sqrt(math.pi) / 2
 
-_background = native.function("inspector.detect._background", "background_of", "piiiiiiiiiippp")
-_at = native.function("inspector.detect._background", "background_at", "iiiipippp")
+_background = native.function("inspector.detect._kernel", "background_of", "piiiiiipp")
 
 
 @dataclass(frozen=True)
 class Background:
-    """The dark panel: median grey value of each tile (rows, columns) DN, noise (standard deviation) and black DN."""
+    """The dark panel: median grey value of each tile (rows, columns) DN, noise (standard deviation) and black DN.
+
+    ``level_dn`` is the whole frame's, the median of the tiles; ``darkest_dn`` and ``brightest_dn`` their extremes.
+    """
 
     tiles_dn: FloatArray
     noise_dn: float
     black_dn: float
-
-    @cached_property
-    def level_dn(self) -> float:
-        """The whole frame's background, the median of the tiles, DN."""
-        grey = sorted(self.tiles_dn.ravel().tolist())
-        return float(grey[(len(grey) - 1) // 2] + grey[len(grey) // 2]) / 2
+    level_dn: float
+    darkest_dn: float
+    brightest_dn: float
 
     def flat(self) -> bool:
         """True where one threshold serves the whole frame."""
-        return float(self.tiles_dn.max() - self.tiles_dn.min()) <= 3 * self.noise_dn
-
-    def at(self, rows: IntArray, columns: IntArray, shape: tuple[int, int]) -> FloatArray:
-        """Background (n,) DN at pixels, bilinear between tile centres and straight on beyond them."""
-        level = np.empty(len(rows))
-        _at(
-            *shape,
-            *self.tiles_dn.shape,
-            self.tiles_dn.tobytes(),
-            len(rows),
-            rows.tobytes(),
-            columns.tobytes(),
-            out(level),
-        )
-        return level
+        return self.brightest_dn - self.darkest_dn <= 3 * self.noise_dn
 
 
-def background(image: Image) -> Background:
-    """Estimate the background of a :func:`inspector.detect.kernel.packed` image (H, W), not empty, from samples.
+def background(pixels: Pixels) -> Background:
+    """Estimate the background of an image (H, W), not empty, from samples. Raises MemoryError.
 
     The tiles are medians. The noise comes from neighbouring pixels: they differ by noise, whatever the shading. The
     mean of |differences| of a Gaussian is 2/sqrt(pi) standard deviations, and unlike a median it sees through rounding;
     the few that highlights make large are cut at three times the mean.
     """
-    (down, rows, deep), (right, columns, wide) = _grid(image.shape)
-    tiles, darkest, step = np.empty((rows, columns)), c_double(), c_double()
-    done = _background(
-        image.ctypes.data, image.itemsize, *image.shape, image.strides[0], down, right, rows, columns, deep, wide,
-        out(tiles), byref(darkest), byref(step),
-    )  # fmt: skip
-    if done < 0:
+    (down, rows, deep), (right, columns, wide) = _grid(pixels.image.shape)
+    tiles, told = np.empty((rows, columns)), np.empty(5)
+    if _background(pixels.described, down, right, rows, columns, deep, wide, out(tiles), out(told)) < 0:
         raise MemoryError("no memory for the frame's background")
-    return Background(tiles, max(step.value * HALF_ROOT_PI, LEAST_NOISE_DN), darkest.value)
+    black, step, level, darkest, brightest = told.tolist()
+    return Background(tiles, max(step * HALF_ROOT_PI, LEAST_NOISE_DN), black, level, darkest, brightest)
 
 
 @lru_cache(maxsize=4)

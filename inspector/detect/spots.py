@@ -26,7 +26,7 @@ SADDLE_SHARE = 0.965
 
 
 X, Y, COMPONENT, SATURATED_PX, NARROW_PX, LONGER_PX, COMPONENT_PX, COMPONENT_X, COMPONENT_Y, AT_EDGE, IS_HOT = range(11)
-"""Columns of a spot's row, as `_lit.c` numbers them."""
+"""Columns of a spot's row, as `_kernel.h` numbers them."""
 
 
 @dataclass(frozen=True)
@@ -70,14 +70,12 @@ class Spots:
 
 def find_spots(image: Image, found: kernel.Detected, saturated_dn: float) -> Spots:
     """The spots of a frame; pixels of at least ``saturated_dn`` count as clipped."""
-    table, plateaus = found.spots, found.plateaus
-    if plateaus == 0:
-        return Spots(table, (0, 0))
-    lobes = table[:plateaus]
-    if (lobes[:, NARROW_PX] + np.maximum(np.abs(lobes[:, LONGER_PX]), 0)).max() > SINGLE_PX:
-        lobes = _lobes(image, found, saturated_dn)
-        table = np.vstack([lobes, table[plateaus:]])
-    return Spots(table, _bloom(lobes[:, LONGER_PX]))
+    if found.longest_px <= SINGLE_PX:
+        return Spots(found.spots, _bloom(found.mean_taller_px, found.most_taller_px))
+    lobes = _lobes(image, found, saturated_dn)
+    longer = lobes[:, LONGER_PX]
+    bloom = _bloom(float(longer.mean()), float(np.abs(longer).max()))
+    return Spots(np.vstack([lobes, found.spots[found.plateaus :]]), bloom)
 
 
 def _lobes(image: Image, found: kernel.Detected, saturated_dn: float) -> FloatArray:
@@ -188,12 +186,11 @@ def _extent(label: IntArray, value: IntArray, count: int) -> FloatArray:
     return np.asarray(high - low + 1, np.float64)
 
 
-def _bloom(longer: FloatArray) -> tuple[int, int]:
-    """Rows and columns to the next pixel along which charge runs over; (0, 0): none. ``longer`` (n,): tall less wide.
+def _bloom(mean_taller_px: float, most_taller_px: float) -> tuple[int, int]:
+    """Rows and columns to the next pixel along which charge runs over; (0, 0): none.
 
     An overflowing pixel fills the next along its column (or row) until one takes what is left.
     """
-    mean = float(longer.mean())
-    if abs(mean) < BLOOM_PX or float(np.abs(longer).max()) < BLOOM_LEAST_PX:
+    if abs(mean_taller_px) < BLOOM_PX or most_taller_px < BLOOM_LEAST_PX:
         return 0, 0
-    return (1, 0) if mean > 0 else (0, 1)
+    return (1, 0) if mean_taller_px > 0 else (0, 1)
