@@ -135,6 +135,11 @@ class Cycle:
             raise DeviceGone("module", "it has no digital inputs", "choose another trigger")
         return self._lamp.use(lambda _: digital.read_inputs()[channel])
 
+    def try_again(self) -> None:
+        """Devices that have failed are tried at the next use, not when their time comes."""
+        self._lamp.hurry()
+        self._camera.hurry()
+
     def take_over(self, settings: Settings, devices: Devices, inspect: Inspection) -> None:
         """Change what differs between the settings and nothing else: a device that stays as it was stays open."""
         old, camera, module = self._settings, self._devices.camera, self._devices

@@ -18,9 +18,12 @@ from pathlib import Path
 from firmware_bridge import factory
 from firmware_bridge.errors import BridgeError, NoTrigger
 from inspector import calibration_file, snapshots
-from inspector.acquire.trigger import Calls, Clock, Input, Line, Trigger
+from inspector.acquire.trigger import Asked, Calls, Clock, Input, Line, Trigger
+from inspector.control import PlcControl
 from inspector.cycle import Cycle, Inspection
 from inspector.faults import Fault
+from inspector.handshake import Order
+from inspector.handshake_table import Command, CommandResult
 from inspector.lifecycle import Event, after
 from inspector.model import Snapshot
 from inspector.publish import console
@@ -28,6 +31,7 @@ from inspector.publish.plc_server import PlcServer, PlcServerError
 from inspector.publish.systemd import Notifier
 from inspector.settings import (
     ByHand,
+    ByPlc,
     DigitalInput,
     HardwareLine,
     Settings,
@@ -99,12 +103,16 @@ class Daemon:
         notifier: Notifier | None = None,
         inspection: Callable[[Settings], Inspection] = inspection_of,
         build: Callable[..., factory.Devices] = factory.build,
+        reset_statistics: Callable[[], None] | None = None,
     ) -> None:
         self._file, self._settings, self._signals = file, settings, signals
         self._notifier = notifier or Notifier()
         self._make_inspection, self._build = inspection, build
-        self._server = _server(settings)
+        self._reset_statistics = reset_statistics
         self._snapshot = Snapshot()
+        self._control = PlcControl(self._snapshot, signals.wake)
+        self._online = self._control.online
+        self._server = _server(settings, self._control)
         self._spoken_s = -math.inf
 
     @property
@@ -115,6 +123,7 @@ class Daemon:
     def start(self) -> None:
         """Serve the registers, before anything else is done. Raises PlcServerError."""
         self._server.start()
+        self._serve()
         console.say(console.how_to_poll(self._settings.plc.host, self.port))
         self._show(self._described(self._snapshot, Event.CONFIGURED))
 
@@ -142,9 +151,15 @@ class Daemon:
 
     def _triggered(self, missed: int = 0, late: int = 0) -> Trigger:
         """What begins a cycle, by the settings."""
-        cycle = self._settings.cycle
+        cycle, control = self._settings.cycle, self._control
         late_s, choice = cycle.late_after_s, cycle.trigger
+        if not isinstance(choice, ByPlc):
+            control.cycle_lost()
+            if not self._online:
+                return Asked(lambda: math.inf, late_s, missed, late)
         match choice:
+            case ByPlc():
+                return Asked(lambda: control.trigger_s, late_s, missed, late)
             case Timed():
                 return Clock(choice.rate_hz, time.monotonic(), late_s, missed, late)
             case DigitalInput():
@@ -170,13 +185,15 @@ class Daemon:
         if self._signals.reload:
             self._signals.reload = False
             self._reload()
+        self._obey()
         if self._triggered_before(ends_s):
             self._inspect_one()
 
     def _triggered_before(self, ends_s: float) -> bool:
         """Wait, alive, until a cycle is to begin; False if something else is to be done first."""
         self._beat()
-        while not self._signals.stop and not self._signals.reload:
+        while not self._interrupted:
+            self._control.ready(self._awaits_plc)
             due_s, look_s = min(self._due_s(), ends_s), self._trigger.look_s
             now_s = time.monotonic()
             if due_s <= now_s:
@@ -186,6 +203,17 @@ class Daemon:
             self._signals.wait(min(due_s - time.monotonic(), BEAT_S, look_s))
             self._beat()
         return False
+
+    @property
+    def _interrupted(self) -> bool:
+        """Whether something else is to be done than to wait for a trigger."""
+        signals, control = self._signals, self._control
+        return signals.stop or signals.reload or control.asks or control.online is not self._online
+
+    @property
+    def _awaits_plc(self) -> bool:
+        """Whether a TRIGGER of the PLC would be taken."""
+        return isinstance(self._settings.cycle.trigger, ByPlc) and snapshots.can_inspect(self._snapshot)
 
     def _due_s(self) -> float:
         """When the next cycle begins; a trigger that cannot be read is a fault, and waited for."""
@@ -211,19 +239,74 @@ class Daemon:
 
     def _inspect_one(self) -> None:
         """One cycle, and its result for everybody."""
-        started_s = time.monotonic()
+        started_s, panel_id = time.monotonic(), self._control.panel_id
         self._trigger.begins(started_s)
+        if self._one_by_one:
+            self._show_changed(replace(self._snapshot, state=after(self._snapshot.state, Event.STARTED_SINGLE)))
         try:
             turn = self._cycle.turn(self._counted(self._snapshot), self._trigger.glance)
         except NoTrigger:
             self._keep_ready()
             return
         self._spoken_s = time.monotonic()
-        self._show(turn.snapshot)
-        console.say(console.panel_line(turn.snapshot, turn.name, turn.why))
+        shown = turn.snapshot
+        if self._one_by_one:
+            shown = replace(shown, state=after(shown.state, Event.FINISHED, Event.STOPPED))
+        self._show(replace(shown, panel_id=panel_id or shown.panel_id))
+        console.say(console.panel_line(self._snapshot, turn.name, turn.why))
         self._trigger.took(turn.frame_id)
         self._trigger.ended(time.monotonic(), self._cycle.resume_s(started_s))
+        self._control.cycle_ended(self._awaits_plc)
         self._show_changed(self._counted(self._snapshot))
+
+    @property
+    def _one_by_one(self) -> bool:
+        """Whether each inspection is asked for, rather than many until further notice."""
+        return isinstance(self._settings.cycle.trigger, ByHand | ByPlc)
+
+    def _obey(self) -> None:
+        """Do what the PLC asks besides inspections."""
+        if self._control.take_clear():
+            self._cycle.try_again()
+            self._show_changed(snapshots.cleared(self._snapshot))
+            self._spoken_s = -math.inf
+        if self._control.online is not self._online:
+            self._online = self._control.online
+            self._trigger = self._triggered(self._trigger.missed, self._trigger.late)
+            self._show_changed(replace(self._snapshot, state=after(self._snapshot.state, Event.STOPPED)))
+        command = self._control.take_command()
+        if command is not None:
+            self._control.command_ended(self._carried_out(command))
+
+    def _carried_out(self, order: Order) -> CommandResult:
+        """Carry out a command of the PLC's; how it ended."""
+        log.info("PLC command %d, argument %d", order.command, order.argument)
+        try:
+            match order.command:
+                case Command.CHANGE_RECIPE:
+                    return self._change_recipe(order.argument)
+                case Command.DISCARD_RESULTS:
+                    self._control.discard_results()
+                case Command.RESET_STATISTICS:
+                    if self._reset_statistics is None:
+                        return CommandResult.NOT_AVAILABLE
+                    self._reset_statistics()
+                case _:
+                    return CommandResult.UNKNOWN_COMMAND
+        except SettingsError as error:
+            _log_problems(error)
+            return CommandResult.REFUSED
+        except (calibration_file.CalibrationError, OSError) as error:
+            log.error("PLC command %d: %s", order.command, error)
+            return CommandResult.REFUSED
+        except Exception:
+            log.exception("PLC command %d fails", order.command)
+            return CommandResult.INTERNAL
+        return CommandResult.DONE
+
+    def _change_recipe(self, recipe_id: int) -> CommandResult:
+        """Inspect by another recipe, once it has proved whole. Raises SettingsError, and then the old one stays."""
+        return CommandResult.DONE if recipe_id == self._settings.recipe.id else CommandResult.NOT_AVAILABLE
 
     def _counted(self, snapshot: Snapshot) -> Snapshot:
         return replace(snapshot, missed_triggers=self._trigger.missed, late_triggers=self._trigger.late)
@@ -233,7 +316,7 @@ class Daemon:
             self._show(snapshot)
 
     def _show(self, snapshot: Snapshot) -> None:
-        self._server.publish(snapshot)
+        self._control.publish(snapshot)
         self._snapshot = snapshot
         fault = f", fault {snapshot.fault_code}" if snapshot.fault_code else ""
         self._notifier.status(f"{snapshot.state.name}{fault}; registers on port {self.port}")
@@ -250,7 +333,7 @@ class Daemon:
         except (PlcServerError, calibration_file.CalibrationError, OSError) as error:
             log.error("%s", error)
             self._refuse()
-        self._server.publish(self._snapshot)
+        self._control.publish(self._snapshot)
         self._notifier.send("READY=1")
 
     def _refuse(self) -> None:
@@ -265,25 +348,33 @@ class Daemon:
             self._serve_anew(new)
         self._cycle.take_over(new, self._build(new.camera, new.module, new.lamp), inspect)
         self._settings = new
+        self._serve()
         self._trigger = self._triggered(self._trigger.missed, self._trigger.late)
         anew = self._described(self._snapshot, Event.STOPPED, Event.UNPREPARED)
         self._snapshot = replace(anew, settings_refused=False, simulated=self._cycle.simulated)
 
     def _serve_anew(self, new: Settings) -> None:
         """Serve as ``new`` says. Raises PlcServerError, and then serves on as before."""
-        server, in_the_way = _server(new), new.plc.port == self._settings.plc.port
+        server, in_the_way = _server(new, self._control), new.plc.port == self._settings.plc.port
         if in_the_way:
             self._server.stop()
         try:
             server.start()
         except PlcServerError:
             if in_the_way:
-                self._server = _server(self._settings)
+                self._server = _server(self._settings, self._control)
                 self._server.start()
+                self._serve()
             raise
         self._server.stop()
         self._server = server
+        self._serve()
         console.say(console.how_to_poll(new.plc.host, self.port))
+
+    def _serve(self) -> None:
+        """Registers are shown by this server, as the settings say."""
+        plc = self._settings.plc
+        self._control.serve(self._server, plc.word_order, plc.buffer_results)
 
     def _described(self, snapshot: Snapshot, *events: Event) -> Snapshot:
         """The snapshot with what it says of the settings brought up to date."""
@@ -298,17 +389,18 @@ class Daemon:
 
     def _say_farewell(self) -> None:
         self._notifier.send("STOPPING=1")
-        self._server.publish(snapshots.stopped(self._snapshot))
+        self._control.ready(False)
+        self._control.publish(snapshots.stopped(self._snapshot))
 
     def _server_stop(self) -> None:
         self._server.stop()
         log.info("stopped")
 
 
-def _server(settings: Settings) -> PlcServer:
-    plc = settings.plc
+def _server(settings: Settings, control: PlcControl) -> PlcServer:
+    plc = settings.plc.model_dump(exclude={"buffer_results"})
     longest_s = settings.camera.deadline_s + LAMP_REQUESTS * settings.module.deadline_s
-    return PlcServer(stall_after_s=longest_s + STALL_MARGIN_S, **plc.model_dump())
+    return PlcServer(stall_after_s=longest_s + STALL_MARGIN_S, on_control=control.write, **plc)
 
 
 def _log_problems(error: SettingsError) -> None:

@@ -187,6 +187,19 @@ class FrameResult:
 
 
 @dataclass(frozen=True, slots=True)
+class PlcSide:
+    """What the registers show of the handshake with the PLC (:mod:`inspector.handshake`)."""
+
+    answers: int = 0
+    """Bits of :class:`inspector.handshake.Answer`."""
+    results_waiting: int = 0
+    command_echo: int = 0
+    command_result: int = 0
+    control: tuple[int, ...] = ()
+    """The control block's words as the PLC has written them; those missing are 0."""
+
+
+@dataclass(frozen=True, slots=True)
 class Snapshot:
     """Everything that the result block of the register map shows, at one moment."""
 
@@ -218,6 +231,8 @@ class Snapshot:
     camera_ok: bool = False
     exposure_us: float = 0.0
     configuration_hash: int = 0
+    recipe_hash: int = 0
+    plc: PlcSide = PlcSide()
     simulated: bool = False
     settings_refused: bool = False
     extra: dict[str, float] = field(default_factory=dict)

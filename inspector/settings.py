@@ -59,6 +59,8 @@ class PlcSettings(Strict):
     """A connection without a request for so long is closed, seconds."""
     word_order: Literal["high_first", "low_first"] = "high_first"
     """Order of the two registers of a 32-bit value."""
+    buffer_results: bool = False
+    """Keep each result until the PLC acknowledges it, also while its bit BUFFER_RESULTS is off."""
 
 
 class FreeRunning(Strict):
@@ -106,12 +108,19 @@ class ByHand(Strict):
     """A person or a script sets the pace."""
 
 
+class ByPlc(Strict):
+    """A cycle begins when the PLC raises TRIGGER in the control block, and the station answers each."""
+
+    kind: Literal["plc"]
+    """The PLC sets the pace."""
+
+
 class CycleSettings(Strict):
     """When a frame is taken, how near it must be to what was asked, and how failed devices are tried again."""
 
-    trigger: Annotated[FreeRunning | Timed | DigitalInput | HardwareLine | ByHand, Field(discriminator="kind")] = (
-        FreeRunning()
-    )
+    trigger: Annotated[
+        FreeRunning | Timed | DigitalInput | HardwareLine | ByHand | ByPlc, Field(discriminator="kind")
+    ] = FreeRunning()
     """What begins a cycle; what comes while a cycle runs is counted as missed, and not made up for."""
     late_after_s: PositiveFloat = 0.05
     """A cycle that begins so long after its trigger is counted as late, seconds; it is inspected all the same."""

@@ -52,17 +52,17 @@ class Signals:
     def request_stop(self) -> None:
         """Stop after this step; from any thread."""
         self.stop = True
-        self._ring()
+        self.wake()
 
     def request_reload(self) -> None:
         """Read the settings again after this cycle; from any thread."""
         self.reload = True
-        self._ring()
+        self.wake()
 
     def request_trigger(self) -> None:
         """One inspection, if the station is triggered so; from any thread."""
         self._triggers.append(time.monotonic())
-        self._ring()
+        self.wake()
 
     def take_triggers(self) -> list[float]:
         """When triggers came since this was asked last, monotonic seconds."""
@@ -91,6 +91,7 @@ class Signals:
         with contextlib.suppress(BlockingIOError):
             self._woken.recv(4096)
 
-    def _ring(self) -> None:
+    def wake(self) -> None:
+        """End a wait: something has come that concerns the cycle; from any thread."""
         with contextlib.suppress(BlockingIOError):
             self._wake.send(b"!")

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from inspector.acquire.device_faults import FAULTS
 from inspector.faults import Fault
 from inspector.lifecycle import Event, after
-from inspector.model import Frame, FrameResult, Reason, Snapshot, Verdict
+from inspector.model import Frame, FrameResult, Reason, Snapshot, State, Verdict
 
 FRAME_FAULTS = {
     Reason.FRAME_UNREADABLE: Fault.CAMERA_FRAME_WRONG,
@@ -89,6 +89,19 @@ def waiting(last: Snapshot, fault: Fault) -> Snapshot:
     if last.fault_code not in SEEN_WAITING:
         return last
     return replace(last, state=after(last.state, Event.RECOVERED, Event.PREPARED), fault_code=Fault.NONE)
+
+
+def can_inspect(shown: Snapshot) -> bool:
+    """Whether a trigger would be taken: ready, or in a fault whose end only a frame can show."""
+    return shown.state is State.READY or (shown.state is State.ERROR and shown.fault_code not in SEEN_WAITING)
+
+
+def cleared(last: Snapshot) -> Snapshot:
+    """Somebody has seen the fault: one whose end only a frame can show is forgotten, others last as long as they do."""
+    seen = replace(last, settings_refused=False)
+    if last.fault_code in SEEN_WAITING:
+        return seen
+    return replace(seen, state=after(last.state, Event.RECOVERED, Event.PREPARED), fault_code=Fault.NONE)
 
 
 def stopped(last: Snapshot) -> Snapshot:

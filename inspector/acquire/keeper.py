@@ -124,6 +124,11 @@ class Keeper(Generic[DeviceT]):
             with suppress(BridgeError):
                 self.device.open()
 
+    def hurry(self) -> None:
+        """A device that has failed may be tried at once; further tries come as after a first failure."""
+        if self._error is not None:
+            self._delay_s, self._due_s = self.retry.first_s, self._clock()
+
     def replace(self, device: DeviceT) -> None:
         """Close the device and take another one in its place, to be opened at the next use."""
         self.close()

@@ -89,6 +89,23 @@ class Clock(Trigger):
         self.missed += missed
 
 
+class Asked(Trigger):
+    """Somebody else says when, and counts what is missed: ``pending`` gives when the cycle was asked for, until it has
+    ended; infinite if it was not."""
+
+    def __init__(self, pending: Callable[[], float], late_after_s: float, missed: int = 0, late: int = 0) -> None:
+        super().__init__(late_after_s, missed, late)
+        self._pending = pending
+
+    def due_s(self, now_s: float) -> float:
+        """See the base."""
+        return self._pending()
+
+    def begins(self, now_s: float) -> None:
+        """See the base."""
+        self._came(self._pending(), now_s)
+
+
 class Calls(Trigger):
     """Single calls, by hand: ``take`` gives when they came since it was asked last."""
 

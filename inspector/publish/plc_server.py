@@ -13,9 +13,10 @@ import errno
 import logging
 import os
 import socket
+import struct
 import threading
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from ipaddress import IPv6Address, ip_address, ip_network
@@ -23,8 +24,9 @@ from ipaddress import IPv6Address, ip_address, ip_network
 from firmware_bridge.wire.modbus import IllegalAddress, Slave, Table
 from firmware_bridge.wire.modbus_frames import TcpSession
 from inspector.faults import Fault
+from inspector.handshake_table import Answer
 from inspector.model import Reason, Snapshot, State, Verdict
-from inspector.publish.registers import Image, WordOrder, encode_image
+from inspector.publish.registers import CONTROL_ADDRESS, CONTROL_WORDS, Image, WordOrder, encode_image
 
 log = logging.getLogger(__name__)
 
@@ -44,6 +46,10 @@ UNREAD_BYTES = 16384
 MAX_NAMED_STRANGERS = 256
 
 
+OnControl = Callable[[int, Sequence[int]], None]
+"""What a write into the control block is told: its first address and its words. May raise any ModbusError."""
+
+
 class PlcServerError(Exception):
     """The server cannot listen; the message names the address, the cause and the remedy."""
 
@@ -53,6 +59,7 @@ class PlcServer:
 
     ``allow``: networks whose hosts may connect. ``port`` 0 takes any free one. ``stall_after_s``: without
     :meth:`beat` or :meth:`publish` for so long, what is served is state ERROR, fault CYCLE_STALLED, NOT_INSPECTED.
+    ``on_control`` is called in the server's thread; without it nothing can be written.
     """
 
     def __init__(
@@ -66,6 +73,7 @@ class PlcServer:
         idle_timeout_s: float = 60.0,
         stall_after_s: float = 2.0,
         word_order: WordOrder = "high_first",
+        on_control: OnControl | None = None,
     ) -> None:
         self._host, self._port = host, port
         self._networks = tuple(ip_network(network) for network in allow)
@@ -75,7 +83,7 @@ class PlcServer:
         self._snapshot = Snapshot()
         self._stalled = False
         self._lock = threading.Lock()
-        self._registers = _ServedRegisters()
+        self._registers = _ServedRegisters(on_control)
         self.slave = Slave(dict.fromkeys(unit_ids, self._registers), _identity())
         self.connections: set[_Connection] = set()
         self._strangers: set[str] = set()
@@ -106,6 +114,16 @@ class PlcServer:
         with self._lock:
             self._beat_s = time.monotonic()
             self._swap(snapshot)
+
+    def show(self, snapshot: Snapshot) -> None:
+        """As :meth:`publish`, but no beat: what the PLC asks for says nothing of the cycle."""
+        with self._lock:
+            self._swap(snapshot)
+
+    @property
+    def stalled(self) -> bool:
+        """Whether the cycle has stopped beating."""
+        return self._stalled
 
     def beat(self) -> None:
         """The cycle is alive; to be called each turn."""
@@ -190,13 +208,17 @@ def as_stalled(snapshot: Snapshot) -> Snapshot:
         reasons=Reason.DEVICE_FAULT,
         defects=(),
         unpaired_count=0,
+        plc=replace(snapshot.plc, answers=snapshot.plc.answers & ~(Answer.ONLINE | Answer.TRIGGER_READY)),
     )
 
 
 class _ServedRegisters:
-    """The image as a Modbus data model: holding registers mirror input registers; nothing can be written."""
+    """The image as a Modbus data model: holding registers mirror input registers; the control block can be written."""
 
     image = Image(())
+
+    def __init__(self, on_control: OnControl | None) -> None:
+        self._on_control = on_control
 
     def read_registers(self, table: Table, address: int, count: int) -> bytes:
         for first, data in self.image.areas:
@@ -207,7 +229,11 @@ class _ServedRegisters:
         raise IllegalAddress
 
     def write_registers(self, address: int, data: bytes) -> None:
-        raise IllegalAddress
+        words = struct.unpack(f">{len(data) // 2}H", data)
+        last = CONTROL_ADDRESS + CONTROL_WORDS - len(words)
+        if self._on_control is None or not CONTROL_ADDRESS <= address <= last:
+            raise IllegalAddress
+        self._on_control(address, words)
 
     def read_bits(self, table: Table, address: int, count: int) -> Sequence[bool]:
         raise IllegalAddress

@@ -1,8 +1,8 @@
 """The register map: one table from which the server's image, the decoder, the lists and the manual's page come.
 
-Addresses are zero-based, as on the wire. The *result block* is one read of 125 registers at address 0; the *defect
-list* begins at 1000. Both are packed from one :class:`~inspector.model.Snapshot` into one :class:`Image`, which is
-swapped whole, so no reader can see half of it.
+Addresses are zero-based, as on the wire. The *result block* is one read of 125 registers at address 0; the *control
+block*, which the PLC writes, is at 500; the *defect list* begins at 1000. All are packed from one
+:class:`~inspector.model.Snapshot` into one :class:`Image`, which is swapped whole, so no reader can see half of it.
 
 Numbers come in two kinds. *Exact* ones (ids, codes, bits, the sequence) are taken modulo their range. *Measured*
 ones are divided by their scale and rounded; out of range they saturate and the status bit SATURATED_VALUE is set;
@@ -18,12 +18,15 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic, Literal, TypeVar
 
+from inspector.handshake import ControlBlock
+from inspector.handshake_table import Control
 from inspector.model import Defect, Snapshot, State, Verdict
 
 MAP_VERSION = 1
 """Raised when a register's meaning or place changes; a new register in a gap does not raise it."""
 
 RESULT_ADDRESS, RESULT_WORDS = 0, 125
+CONTROL_ADDRESS, CONTROL_WORDS = 500, 16
 LIST_ADDRESS = 1000
 BLOCK_DEFECTS = 12
 LIST_DEFECTS = 64
@@ -167,6 +170,7 @@ RESULT_FIELDS = (
     _F(14, "acquisition_id", "u32", "id", "The camera's frame number", lambda p: p.snapshot.acquisition_id),
     _F(16, "panel_id", "u32", "id", "The panel's number", lambda p: p.snapshot.panel_id),
     _F(18, "recipe_id", "u16", "id", "Recipe in use", lambda p: p.snapshot.recipe_id),
+    _F(19, "handshake", "u16", "bits", "The station's answers, see Handshake bits", lambda p: p.snapshot.plc.answers),
     _F(20, "result_age_ms", "u32", "ms", "Time since the result was published", _age_ms),
     _F(22, "elapsed_us", "u32", "us", "Time the inspection of the frame took", lambda p: p.snapshot.elapsed_us),
     _F(24, "cycle_us", "u32", "us", "Time the whole cycle took, from lamp to result", lambda p: p.snapshot.cycle_us),
@@ -181,6 +185,10 @@ RESULT_FIELDS = (
     _F(40, "configuration_hash", "u32", "id", "Changes when any setting does", lambda p: p.snapshot.configuration_hash),
     _F(42, "sequence_u32", "u32", "id", "The sequence in 32 bits", lambda p: p.snapshot.sequence),
     _F(44, "late_triggers", "u32", "count", "Cycles begun late", lambda p: p.snapshot.late_triggers),
+    _F(46, "results_waiting", "u16", "count", "In the FIFO, not yet shown", lambda p: p.snapshot.plc.results_waiting),
+    _F(47, "command_echo", "u16", "code", "Command begun last", lambda p: p.snapshot.plc.command_echo),
+    _F(48, "command_result", "u16", "code", "How it ended, see Commands", lambda p: p.snapshot.plc.command_result),
+    _F(50, "recipe_hash", "u32", "id", "Changes when what the recipe says does", lambda p: p.snapshot.recipe_hash),
     _F(124, "sequence_end", "u16", "id", "Equals sequence; compare if read in pieces", lambda p: p.snapshot.sequence),
 )  # fmt: skip
 
@@ -188,6 +196,15 @@ LIST_FIELDS = (
     _F(0, "list_sequence", "u16", "id", "Sequence of the result listed", lambda p: p.snapshot.sequence),
     _F(1, "list_defect_count", "u16", "count", "Defects listed", lambda p: min(len(p.defects), LIST_DEFECTS)),
     _F(LIST_END, "list_sequence_end", "u16", "id", "Equals list_sequence, or reread", lambda p: p.snapshot.sequence),
+)  # fmt: skip
+
+_C = Field[ControlBlock]
+CONTROL_FIELDS = (
+    _C(0, "control", "u16", "bits", "What is asked of the station, see Control bits", lambda c: c.bits),
+    _C(1, "acknowledged_sequence", "u16", "id", "sequence of the result taken", lambda c: c.acknowledged_sequence),
+    _C(2, "control_panel_id", "u32", "id", "Of the panel at TRIGGER or PANEL_START; 0: none", lambda c: c.panel_id),
+    _C(4, "command", "u16", "code", "What EXECUTE carries out, see Commands", lambda c: c.command),
+    _C(6, "command_argument", "u32", "id", "Its argument, as a recipe's id", lambda c: c.argument),
 )  # fmt: skip
 
 _D = Field[Defect]
@@ -214,9 +231,9 @@ class Register:
     meaning: str
 
 
-def _row(field: Field[SourceT], offset: int, name: str, meaning: str) -> Register:
+def _row(field: Field[SourceT], offset: int, name: str, meaning: str, access: str = "R") -> Register:
     words = TYPES[field.type].words
-    return Register(name, offset + field.address, field.type, words, field.scale, field.unit, "R", meaning)
+    return Register(name, offset + field.address, field.type, words, field.scale, field.unit, access, meaning)
 
 
 def _area_rows(
@@ -231,7 +248,8 @@ def _area_rows(
 
 RESULT_REGISTERS = tuple(_area_rows(RESULT_ADDRESS, RESULT_FIELDS, "defect", FIRST_BLOCK_DEFECT, BLOCK_DEFECTS))
 LIST_REGISTERS = tuple(_area_rows(LIST_ADDRESS, LIST_FIELDS, "list_defect", FIRST_LIST_DEFECT, LIST_DEFECTS))
-REGISTERS = RESULT_REGISTERS + LIST_REGISTERS
+CONTROL_REGISTERS = tuple(_row(field, CONTROL_ADDRESS, field.name, field.meaning, "RW") for field in CONTROL_FIELDS)
+REGISTERS = RESULT_REGISTERS + CONTROL_REGISTERS + LIST_REGISTERS
 """Every register there is, by address. Words between them inside an area are reserved and read 0."""
 
 
@@ -302,12 +320,25 @@ def encode_image(snapshot: Snapshot, now_s: float, heartbeat: int, word_order: W
     if overflow:
         source = replace(source, saturated=True)
         block = _RESULT_LAYOUT.pack(source, word_order, overflow, largest, FIRST_BLOCK_DEFECT)
-    return Image(((RESULT_ADDRESS, block), (LIST_ADDRESS, listed)))
+    written = snapshot.plc.control
+    control = struct.pack(f">{CONTROL_WORDS}H", *written, *[0] * (CONTROL_WORDS - len(written)))
+    return Image(((RESULT_ADDRESS, block), (LIST_ADDRESS, listed), (CONTROL_ADDRESS, control)))
 
 
 def encode(snapshot: Snapshot, now_s: float, heartbeat: int, word_order: WordOrder = "high_first") -> bytes:
     """The result block alone: 250 bytes, big-endian registers."""
     return encode_image(snapshot, now_s, heartbeat, word_order).areas[0][1]
+
+
+def decode_control(words: Sequence[int], word_order: WordOrder = "high_first") -> ControlBlock:
+    """The whole control block's words decoded. Raises ValueError for a bit or a reserved word that means nothing."""
+    known = sum(bit.value for bit in Control)
+    reserved = set(range(CONTROL_WORDS)) - {f.address + i for f in CONTROL_FIELDS for i in range(TYPES[f.type].words)}
+    if words[0] & ~known or any(words[i] for i in reserved):
+        raise ValueError("reserved bits and words of the control block are to be 0")
+    read = decode(words, CONTROL_ADDRESS, word_order)
+    bits, sequence, panel_id, command, argument = (int(read[field.name] or 0) for field in CONTROL_FIELDS)
+    return ControlBlock(Control(bits), sequence, panel_id, command, argument)
 
 
 def decode(

@@ -9,9 +9,27 @@ import json
 from collections.abc import Iterable, Sequence
 
 from inspector.faults import Fault
+from inspector.handshake_table import (
+    ANSWER_MEANINGS,
+    COMMAND_MEANINGS,
+    CONTROL_MEANINGS,
+    RESULT_MEANINGS,
+    Answer,
+    Command,
+    CommandResult,
+    Control,
+)
 from inspector.model import Defect, Flag, Reason, Snapshot, State, Verdict
 from inspector.publish import registers
-from inspector.publish.registers import LIST_REGISTERS, REGISTERS, RESULT_REGISTERS, STATUS_MEANINGS, Register, Status
+from inspector.publish.registers import (
+    CONTROL_REGISTERS,
+    LIST_REGISTERS,
+    REGISTERS,
+    RESULT_REGISTERS,
+    STATUS_MEANINGS,
+    Register,
+    Status,
+)
 
 COLUMNS = ("name", "address", "type", "words", "scale", "unit", "access", "meaning")
 
@@ -28,7 +46,7 @@ STATE_MEANINGS = {
 EXCEPTIONS = (
     (1, "Unknown function"),
     (2, "Some address is outside every area, or is not writable"),
-    (3, "Count or value not allowed (a read takes 1 to 125 registers)"),
+    (3, "Count or value not allowed (a read takes 1 to 125 registers, reserved bits and words are written as 0)"),
     (11, "Unit id not served here (0, 1 and 255 are, unless configured)"),
 )
 
@@ -76,6 +94,8 @@ def as_markdown() -> str:
         version=registers.MAP_VERSION,
         block_words=registers.RESULT_WORDS,
         block_defects=registers.BLOCK_DEFECTS,
+        control_address=registers.CONTROL_ADDRESS,
+        control_words=registers.CONTROL_WORDS,
         list_address=registers.LIST_ADDRESS,
         list_end=registers.LIST_ADDRESS + registers.LIST_END,
         list_defects=registers.LIST_DEFECTS,
@@ -83,10 +103,19 @@ def as_markdown() -> str:
         defect_words=registers.DEFECT_WORDS,
         types=_types(),
         result=_markdown_table(COLUMNS, (tuple(row.values()) for row in as_rows(RESULT_REGISTERS))),
+        control=_markdown_table(COLUMNS, (tuple(row.values()) for row in as_rows(CONTROL_REGISTERS))),
         listing=_markdown_table(COLUMNS, (tuple(row.values()) for row in as_rows(_shortened_list()))),
         verdicts=_codes(Verdict),
         states=_markdown_table(("code", "name", "meaning"), ((s.value, s.name, STATE_MEANINGS[s]) for s in State)),
         status=_markdown_table(("bit", "name", "meaning"), ((_bit(b), b.name, STATUS_MEANINGS[b]) for b in Status)),
+        answers=_markdown_table(("bit", "name", "meaning"), ((_bit(b), b.name, ANSWER_MEANINGS[b]) for b in Answer)),
+        asked=_markdown_table(("bit", "name", "meaning"), ((_bit(b), b.name, CONTROL_MEANINGS[b]) for b in Control)),
+        commands=_markdown_table(
+            ("code", "name", "meaning"), ((c.value, c.name, COMMAND_MEANINGS[c]) for c in Command)
+        ),
+        outcomes=_markdown_table(
+            ("code", "name", "meaning"), ((c.value, c.name, RESULT_MEANINGS[c]) for c in CommandResult)
+        ),
         reasons=_bits(Reason),
         flags=_bits(Flag),
         faults=_markdown_table(
@@ -167,7 +196,7 @@ Idle connections are closed: poll at least as often as the settings' idle time-o
 ## Conventions
 value = register * scale, in the unit given. Units `id`, `tick`, `code` and `bits` mark exact numbers, which wrap; all
 others saturate at the range's end and set SATURATED_VALUE. 32-bit values lie high word first unless the settings say
-`low_first`. Registers not named inside an area are reserved and read 0. All registers are read-only.
+`low_first`. Registers not named inside an area are reserved and read 0. Those of access R are read-only.
 
 {types}
 
@@ -176,6 +205,25 @@ The {block_defects} highest defects come highest first; unused places are 0. A d
 counts as the highest.
 
 {result}
+
+## Control block, address {control_address}
+What the PLC writes, by functions 6, 16, 22 and 23: {control_words} registers, all 0 when the station starts, read back
+as written. Reserved bits and words must be 0. A PLC that only polls need not write anything: with zeros the station
+inspects by its own triggers. One client should write, and no more: the block has no owner.
+
+{control}
+
+## Control bits
+{asked}
+
+## Handshake bits
+{answers}
+
+## Commands
+{commands}
+
+### Command results
+{outcomes}
 
 ## Defect list, address {list_address}
 All defects of the same result, up to {list_defects}, highest first. Defect n begins at address

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from inspector.cli import app
+from inspector.handshake_table import Control
 from inspector.model import Defect, Flag, Reason, Snapshot, State, Verdict
 from inspector.publish import registers
 from inspector.publish.registers import REGISTERS, Image, Status, decode, encode, encode_image
@@ -68,6 +69,9 @@ def test_the_map_stays_where_integrators_have_it() -> None:
         36,
     ]
     assert [at[name] for name in ("defect_1_x_mm", "defect_12_flags")] == [64, 123]
+    assert [at[name] for name in ("handshake", "results_waiting", "command_echo", "command_result")] == [19, 46, 47, 48]
+    assert [at[name] for name in ("control", "acknowledged_sequence", "control_panel_id")] == [500, 501, 502]
+    assert [at[name] for name in ("command", "command_argument")] == [504, 506]
     assert [at[name] for name in ("list_sequence", "list_defect_1_x_mm", "list_sequence_end")] == [1000, 1010, 1330]
 
 
@@ -209,8 +213,8 @@ def test_the_list_holds_all_and_says_how_many() -> None:
 
 def test_every_field_can_be_read_in_the_decoder() -> None:
     image = encode_image(Snapshot(), 0, 0)
-    names = [*decode(words(image.areas[0][1])), *listed(image)]
-    assert names == [row.name for row in REGISTERS]
+    names = [name for address, data in image.areas for name in decode(words(data), address)]
+    assert sorted(names) == sorted(row.name for row in REGISTERS)
 
 
 def test_the_command_prints_all_forms_of_one_list() -> None:
@@ -236,3 +240,13 @@ def test_committed_copies_are_current() -> None:
     """Refresh them with `make docs`."""
     assert (GENERATED / "registers.md").read_text() == as_markdown()
     assert (GENERATED / "registers.csv").read_text() == as_csv()
+
+
+def test_the_control_block_is_decoded_in_either_word_order_and_reserved_words_are_refused() -> None:
+    written = [0b101, 42, 0x1234, 0xABCD, 1, 0, 0, 7, *[0] * 8]
+    block = registers.decode_control(written)
+    assert block == registers.ControlBlock(Control.TRIGGER | Control.BUFFER_RESULTS, 42, 0x1234ABCD, 1, 7)
+    assert registers.decode_control(written, "low_first").panel_id == 0xABCD1234
+    for place, value in ((0, 1 << 8), (5, 1), (15, 1)):
+        with pytest.raises(ValueError, match="reserved"):
+            registers.decode_control([*written[:place], value, *written[place + 1 :]])

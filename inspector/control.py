@@ -1,0 +1,176 @@
+"""The handshake at work: the server's thread brings what the PLC writes, the cycle's thread what the station does.
+
+One lock, one state (:class:`~inspector.handshake.Handshake`); whatever changes it shows in the registers before the
+call returns, so that the answer to a write is read with the next request.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from firmware_bridge.wire.modbus import IllegalValue
+from inspector import handshake
+from inspector.handshake import Handshake, Order, Stepped
+from inspector.handshake_table import Action, CommandResult
+from inspector.model import Snapshot
+from inspector.publish.plc_server import PlcServer
+from inspector.publish.registers import CONTROL_ADDRESS, CONTROL_WORDS, WordOrder, decode_control
+
+log = logging.getLogger(__name__)
+
+PANEL_MARKS = 64
+"""More panel starts and ends than this, while nobody takes them, are forgotten, the oldest first."""
+
+
+class PlcControl:
+    """What the PLC asks of the station, and what it is shown. ``wake`` ends the cycle's wait; called in any thread.
+
+    ``first`` is what the registers show before anything else.
+    """
+
+    def __init__(self, first: Snapshot, wake: Callable[[], None], *, clock: Callable[[], float] = time.monotonic):
+        self._lock = threading.Lock()
+        self._live, self._wake, self._clock = first, wake, clock
+        self._state = Handshake(shown=first)
+        self._words: tuple[int, ...] = (0,) * CONTROL_WORDS
+        self._word_order: WordOrder = "high_first"
+        self._server: PlcServer | None = None
+        self._trigger: Order | None = None
+        self._command: Order | None = None
+        self._marks: deque[Order] = deque(maxlen=PANEL_MARKS)
+        self._clear = False
+
+    def serve(self, server: PlcServer, word_order: WordOrder, always_buffer: bool) -> None:
+        """Show the registers here from now on, and as these settings say."""
+        with self._lock:
+            self._server, self._word_order = server, word_order
+            self._state = replace(self._state, always_buffer=always_buffer)
+            self._show()
+
+    def write(self, address: int, words: Sequence[int]) -> None:
+        """The PLC writes into its control block. Raises IllegalValue if it means nothing; then nothing is written."""
+        at = address - CONTROL_ADDRESS
+        with self._lock:
+            written = (*self._words[:at], *words, *self._words[at + len(words) :])
+            if written == self._words:
+                return
+            try:
+                block = decode_control(written, self._word_order)
+            except ValueError as error:
+                raise IllegalValue from error
+            self._words = written
+            stalled = self._server is not None and self._server.stalled
+            state = handshake.ready(self._state, self._state.able and not stalled)
+            self._take(handshake.written(state, block, self._clock()))
+            self._show()
+        self._wake()
+
+    def publish(self, snapshot: Snapshot) -> None:
+        """What the station is and has found; a new sequence is a new result. Counts as a beat."""
+        with self._lock:
+            if snapshot.sequence != self._live.sequence:
+                self._state = handshake.resulted(self._state, snapshot)
+            self._live = snapshot
+            self._show(beat=True)
+
+    def ready(self, able: bool) -> None:
+        """Whether the station waits for a TRIGGER and could inspect at once."""
+        with self._lock:
+            self._step(handshake.ready(self._state, able))
+
+    @property
+    def online(self) -> bool:
+        """Whether the PLC wants inspections."""
+        return self._state.online
+
+    @property
+    def trigger_s(self) -> float:
+        """When the TRIGGER came whose cycle has not ended; infinite if there is none."""
+        trigger = self._trigger
+        return math.inf if trigger is None else trigger.asked_s
+
+    @property
+    def panel_id(self) -> int:
+        """Id of the panel in view as the PLC gave it: with the TRIGGER taken last, or with PANEL_START; 0: none."""
+        trigger = self._trigger
+        return self._state.panel_id if trigger is None else trigger.panel_id
+
+    @property
+    def asks(self) -> bool:
+        """Whether :meth:`take_command` or :meth:`take_clear` has something."""
+        return self._command is not None or self._clear
+
+    def cycle_ended(self, able: bool) -> None:
+        """The cycle that a TRIGGER began, if one did, has brought its result; ``able`` as for :meth:`ready`."""
+        with self._lock:
+            self._trigger = None
+            self._step(handshake.cycle_ended(handshake.ready(self._state, able)))
+
+    def cycle_lost(self) -> None:
+        """There will be no cycle for the TRIGGER taken: it is counted as missed."""
+        with self._lock:
+            self._trigger = None
+            self._step(handshake.cycle_lost(handshake.ready(self._state, False)))
+
+    def take_command(self) -> Order | None:
+        """The command to be carried out, once; it is then answered by :meth:`command_ended`."""
+        with self._lock:
+            command, self._command = self._command, None
+            return command
+
+    def command_ended(self, outcome: CommandResult) -> None:
+        """How the command ended."""
+        with self._lock:
+            self._step(handshake.command_ended(self._state, outcome))
+
+    def discard_results(self) -> None:
+        """Forget the results that were not acknowledged."""
+        with self._lock:
+            self._step(handshake.discarded(self._state))
+
+    def take_clear(self) -> bool:
+        """Whether CLEAR_FAULT has risen since this was asked last."""
+        with self._lock:
+            clear, self._clear = self._clear, False
+            return clear
+
+    def take_panel_marks(self) -> list[Order]:
+        """Panel starts and ends since this was asked last, in their order."""
+        with self._lock:
+            marks = list(self._marks)
+            self._marks.clear()
+            return marks
+
+    def _take(self, stepped: Stepped) -> None:
+        self._state, orders = stepped
+        for order in orders:
+            match order.action:
+                case Action.BEGIN_CYCLE:
+                    self._trigger = order
+                case Action.RUN_COMMAND:
+                    self._command = order
+                case Action.CLEAR_FAULTS:
+                    self._clear = True
+                case _:
+                    self._marks.append(order)
+
+    def _step(self, state: Handshake) -> None:
+        if state != self._state:
+            self._state = state
+            self._show()
+
+    def _show(self, beat: bool = False) -> None:
+        if self._server is None:
+            return
+        shown = handshake.view(self._state, self._live)
+        shown = replace(shown, plc=replace(shown.plc, control=self._words))
+        if beat:
+            self._server.publish(shown)
+        else:
+            self._server.show(shown)
