@@ -17,29 +17,21 @@ from pathlib import Path
 
 from firmware_bridge import factory
 from firmware_bridge.errors import BridgeError, NoTrigger
-from inspector import calibration_file, snapshots
-from inspector.acquire.trigger import Asked, Calls, Clock, Input, Line, Trigger
+from inspector import calibration_file, pace, recipe_choice, snapshots
+from inspector.acquire.trigger import Trigger
 from inspector.control import PlcControl
 from inspector.cycle import Cycle, Inspection
 from inspector.faults import Fault
-from inspector.handshake import Order
-from inspector.handshake_table import Command, CommandResult
+from inspector.handshake_table import Command
 from inspector.lifecycle import Event, after
 from inspector.model import Snapshot
+from inspector.plc_commands import carried_out
 from inspector.publish import console
 from inspector.publish.plc_server import PlcServer, PlcServerError
 from inspector.publish.systemd import Notifier
-from inspector.settings import (
-    ByHand,
-    ByPlc,
-    DigitalInput,
-    HardwareLine,
-    Settings,
-    SettingsError,
-    Timed,
-    configuration_hash,
-    load,
-)
+from inspector.recipe import content_hash
+from inspector.sequence_file import SequenceFile
+from inspector.settings import Settings, SettingsError, configuration_hash, load, with_recipe
 from inspector.signals import Signals, StopRequested
 
 log = logging.getLogger(__name__)
@@ -105,13 +97,20 @@ class Daemon:
         build: Callable[..., factory.Devices] = factory.build,
         reset_statistics: Callable[[], None] | None = None,
     ) -> None:
-        self._file, self._settings, self._signals = file, settings, signals
+        self._file, self._signals = file, signals
+        self._settings, self._settings_recipe_id = recipe_choice.resumed(settings), settings.recipe.id
         self._notifier = notifier or Notifier()
         self._make_inspection, self._build = inspection, build
-        self._reset_statistics = reset_statistics
-        self._snapshot = Snapshot()
+        self._sequence = SequenceFile(settings.plc.sequence_file)
+        self._snapshot = Snapshot(sequence=self._sequence.first, panel_id=self._sequence.first)
         self._control = PlcControl(self._snapshot, signals.wake)
         self._online = self._control.online
+        self._handlers: dict[Command, Callable[[int], None]] = {
+            Command.CHANGE_RECIPE: self._change_recipe,
+            Command.DISCARD_RESULTS: lambda _: self._control.discard_results(),
+        }
+        if reset_statistics is not None:
+            self._handlers[Command.RESET_STATISTICS] = lambda _: reset_statistics()
         self._server = _server(settings, self._control)
         self._spoken_s = -math.inf
 
@@ -152,33 +151,10 @@ class Daemon:
     def _triggered(self, missed: int = 0, late: int = 0) -> Trigger:
         """What begins a cycle, by the settings."""
         cycle, control = self._settings.cycle, self._control
-        late_s, choice = cycle.late_after_s, cycle.trigger
-        if not isinstance(choice, ByPlc):
+        if not pace.by_plc(cycle):
             control.cycle_lost()
-            if not self._online:
-                return Asked(lambda: math.inf, late_s, missed, late)
-        match choice:
-            case ByPlc():
-                return Asked(lambda: control.trigger_s, late_s, missed, late)
-            case Timed():
-                return Clock(choice.rate_hz, time.monotonic(), late_s, missed, late)
-            case DigitalInput():
-                wanted = choice.active == "on"
-                return Input(
-                    lambda: self._cycle.read_input(choice.channel) is wanted,
-                    choice.debounce_s,
-                    choice.poll_s,
-                    late_s,
-                    missed,
-                    late,
-                )
-            case HardwareLine():
-                return Line(late_s, missed, late)
-            case ByHand():
-                self._signals.take_triggers()  # what came before was not for it
-                return Calls(self._signals.take_triggers, late_s, missed, late)
-            case _:
-                return Trigger(late_s, missed, late)
+        sources = pace.Sources(self._cycle.read_input, self._signals.take_triggers, lambda: control.trigger_s)
+        return pace.trigger_of(cycle, sources, self._online, missed, late)
 
     def _turn(self, ends_s: float) -> None:
         """Wait for the trigger, then one cycle; or take over new settings."""
@@ -213,7 +189,7 @@ class Daemon:
     @property
     def _awaits_plc(self) -> bool:
         """Whether a TRIGGER of the PLC would be taken."""
-        return isinstance(self._settings.cycle.trigger, ByPlc) and snapshots.can_inspect(self._snapshot)
+        return pace.by_plc(self._settings.cycle) and snapshots.can_inspect(self._snapshot)
 
     def _due_s(self) -> float:
         """When the next cycle begins; a trigger that cannot be read is a fault, and waited for."""
@@ -241,7 +217,8 @@ class Daemon:
         """One cycle, and its result for everybody."""
         started_s, panel_id = time.monotonic(), self._control.panel_id
         self._trigger.begins(started_s)
-        if self._one_by_one:
+        one_by_one = pace.one_by_one(self._settings.cycle)
+        if one_by_one:
             self._show_changed(replace(self._snapshot, state=after(self._snapshot.state, Event.STARTED_SINGLE)))
         try:
             turn = self._cycle.turn(self._counted(self._snapshot), self._trigger.glance)
@@ -250,7 +227,7 @@ class Daemon:
             return
         self._spoken_s = time.monotonic()
         shown = turn.snapshot
-        if self._one_by_one:
+        if one_by_one:
             shown = replace(shown, state=after(shown.state, Event.FINISHED, Event.STOPPED))
         self._show(replace(shown, panel_id=panel_id or shown.panel_id))
         console.say(console.panel_line(self._snapshot, turn.name, turn.why))
@@ -258,11 +235,6 @@ class Daemon:
         self._trigger.ended(time.monotonic(), self._cycle.resume_s(started_s))
         self._control.cycle_ended(self._awaits_plc)
         self._show_changed(self._counted(self._snapshot))
-
-    @property
-    def _one_by_one(self) -> bool:
-        """Whether each inspection is asked for, rather than many until further notice."""
-        return isinstance(self._settings.cycle.trigger, ByHand | ByPlc)
 
     def _obey(self) -> None:
         """Do what the PLC asks besides inspections."""
@@ -276,37 +248,17 @@ class Daemon:
             self._show_changed(replace(self._snapshot, state=after(self._snapshot.state, Event.STOPPED)))
         command = self._control.take_command()
         if command is not None:
-            self._control.command_ended(self._carried_out(command))
+            self._control.command_ended(carried_out(command, self._handlers))
 
-    def _carried_out(self, order: Order) -> CommandResult:
-        """Carry out a command of the PLC's; how it ended."""
-        log.info("PLC command %d, argument %d", order.command, order.argument)
-        try:
-            match order.command:
-                case Command.CHANGE_RECIPE:
-                    return self._change_recipe(order.argument)
-                case Command.DISCARD_RESULTS:
-                    self._control.discard_results()
-                case Command.RESET_STATISTICS:
-                    if self._reset_statistics is None:
-                        return CommandResult.NOT_AVAILABLE
-                    self._reset_statistics()
-                case _:
-                    return CommandResult.UNKNOWN_COMMAND
-        except SettingsError as error:
-            _log_problems(error)
-            return CommandResult.REFUSED
-        except (calibration_file.CalibrationError, OSError) as error:
-            log.error("PLC command %d: %s", order.command, error)
-            return CommandResult.REFUSED
-        except Exception:
-            log.exception("PLC command %d fails", order.command)
-            return CommandResult.INTERNAL
-        return CommandResult.DONE
-
-    def _change_recipe(self, recipe_id: int) -> CommandResult:
+    def _change_recipe(self, recipe_id: int) -> None:
         """Inspect by another recipe, once it has proved whole. Raises SettingsError, and then the old one stays."""
-        return CommandResult.DONE if recipe_id == self._settings.recipe.id else CommandResult.NOT_AVAILABLE
+        self._take_over(with_recipe(self._settings, recipe_id))
+        self._show(self._snapshot)
+        if self._settings.recipe_choice_file is not None:
+            try:
+                recipe_choice.keep(self._settings.recipe_choice_file, recipe_id, self._settings_recipe_id)
+            except OSError as error:
+                log.error("recipe %d is in use, but not after a restart: %s", recipe_id, error)
 
     def _counted(self, snapshot: Snapshot) -> Snapshot:
         return replace(snapshot, missed_triggers=self._trigger.missed, late_triggers=self._trigger.late)
@@ -316,6 +268,7 @@ class Daemon:
             self._show(snapshot)
 
     def _show(self, snapshot: Snapshot) -> None:
+        self._sequence.reached(snapshot.sequence)
         self._control.publish(snapshot)
         self._snapshot = snapshot
         fault = f", fault {snapshot.fault_code}" if snapshot.fault_code else ""
@@ -325,7 +278,9 @@ class Daemon:
         """Take over the settings file if it is right; else say what is wrong and go on as before."""
         self._notifier.reloading()
         try:
-            self._take_over(load(self._file))
+            found = load(self._file)
+            self._take_over(recipe_choice.resumed(found))
+            self._settings_recipe_id = found.recipe.id
             log.info("settings taken over from %s, hash %08x", self._file, self._snapshot.configuration_hash)
         except SettingsError as error:
             _log_problems(error)
@@ -349,6 +304,8 @@ class Daemon:
         self._cycle.take_over(new, self._build(new.camera, new.module, new.lamp), inspect)
         self._settings = new
         self._serve()
+        self._sequence.move(new.plc.sequence_file)
+        self._spoken_s = -math.inf
         self._trigger = self._triggered(self._trigger.missed, self._trigger.late)
         anew = self._described(self._snapshot, Event.STOPPED, Event.UNPREPARED)
         self._snapshot = replace(anew, settings_refused=False, simulated=self._cycle.simulated)
@@ -383,6 +340,7 @@ class Daemon:
             snapshot,
             state=after(snapshot.state, *events),
             recipe_id=settings.recipe.id,
+            recipe_hash=content_hash(settings.recipe),
             lamp_set_v=settings.lamp.volts(settings.recipe.lamp_percent),
             configuration_hash=configuration_hash(settings),
         )
@@ -394,11 +352,12 @@ class Daemon:
 
     def _server_stop(self) -> None:
         self._server.stop()
+        self._sequence.ends(self._snapshot.sequence)
         log.info("stopped")
 
 
 def _server(settings: Settings, control: PlcControl) -> PlcServer:
-    plc = settings.plc.model_dump(exclude={"buffer_results"})
+    plc = settings.plc.model_dump(exclude={"buffer_results", "sequence_file"})
     longest_s = settings.camera.deadline_s + LAMP_REQUESTS * settings.module.deadline_s
     return PlcServer(stall_after_s=longest_s + STALL_MARGIN_S, on_control=control.write, **plc)
 

@@ -61,6 +61,12 @@ class PlcSettings(Strict):
     """Order of the two registers of a 32-bit value."""
     buffer_results: bool = False
     """Keep each result until the PLC acknowledges it, also while its bit BUFFER_RESULTS is off."""
+    sequence_file: Annotated[Path, Field(strict=False)] | None = None
+    """File in which the last result's number is kept, so that `sequence` goes on after a restart; null: from 0."""
+
+    def under(self, folder: Path) -> PlcSettings:
+        """The same settings with relative paths taken from ``folder``."""
+        return self.model_copy(update={"sequence_file": self.sequence_file and folder / self.sequence_file})
 
 
 class FreeRunning(Strict):
@@ -180,6 +186,7 @@ class Settings(Strict):
                 "calibration": folder / self.calibration,
                 "camera": self.camera.under(folder),
                 "lamp": self.lamp.under(folder),
+                "plc": self.plc.under(folder),
                 "recipe_choice_file": self.recipe_choice_file and folder / self.recipe_choice_file,
             },
         )
@@ -237,7 +244,14 @@ def check(path: Path) -> Settings:
 def configuration_hash(settings: Settings) -> int:
     """32 bits that change when any setting, or the calibration file's content, does. Raises OSError."""
     folder = settings.calibration.parent  # paths count relative to it, so that a moved installation keeps its hash
-    values = settings.model_dump(exclude={"calibration": True, "lamp": {"hours_file"}, "recipe_choice_file": True})
+    values = settings.model_dump(
+        exclude={
+            "calibration": True,
+            "lamp": {"hours_file"},
+            "plc": {"sequence_file"},
+            "recipe_choice_file": True,
+        }
+    )
     text = json.dumps(values, sort_keys=True, default=lambda path: os.path.relpath(path, folder)).encode()
     digest = hashlib.sha256(text + settings.calibration.read_bytes()).digest()
     return int.from_bytes(digest[:4], "big")

@@ -16,6 +16,7 @@ import pytest
 from firmware_bridge.contracts import CameraCapabilities, CameraFrame
 from firmware_bridge.errors import BridgeError, NoReply
 from firmware_bridge.factory import Devices
+from inspector.calibration_file import CalibrationError
 from inspector.daemon import Daemon, Limits
 from inspector.faults import Fault
 from inspector.model import Frame, FrameResult, Reason, State, Verdict
@@ -104,6 +105,7 @@ class Bench:
         self.lamp, self.camera = FakeLamp(), FakeCamera()
         self.built: list[Devices] = []
         self.says: dict[int, Any] = {}
+        self.refuses = False
         self.daemon = Daemon(
             station.file,
             load(station.file),
@@ -121,6 +123,9 @@ class Bench:
         return self.built[-1]
 
     def _inspection(self, settings: Settings) -> Callable[[Frame], FrameResult]:
+        if self.refuses:
+            raise CalibrationError("the calibration is gone")
+
         def inspect(frame: Frame) -> FrameResult:
             said = self.says.get(frame.frame_id, Verdict.PASS)
             if isinstance(said, Exception):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from typing import Any
 
@@ -142,6 +143,22 @@ def test_commands_are_carried_out_or_refused_with_a_code(line: Callable[..., Lin
     at.control()
     assert at.execute(Command.DISCARD_RESULTS) == CommandResult.DONE
     assert at.until_off(Answer.RESULT_AVAILABLE)["overruns"] == 1
+
+
+def test_a_recipe_is_changed_when_it_is_whole_and_the_old_one_stays_otherwise(line: Callable[..., Line]) -> None:
+    recipes = [{"id": 1, "name": "one"}, {"id": 2, "name": "two", "lamp_percent": 50.0}, {"id": 3, "name": "three"}]
+    at = line(recipe=1, recipes=recipes, recipe_choice_file="choice.json")
+    before = at.until_set(Answer.TRIGGER_READY)
+    assert at.execute(Command.CHANGE_RECIPE, 2) == CommandResult.DONE
+    changed = at.until_set(Answer.TRIGGER_READY)
+    assert (changed["recipe_id"], changed["lamp_set_mv"]) == (2, 2500)
+    assert changed["recipe_hash"] != before["recipe_hash"]
+    assert at.execute(Command.CHANGE_RECIPE, 9) == CommandResult.REFUSED
+    at.station.refuses = True
+    assert at.execute(Command.CHANGE_RECIPE, 3) == CommandResult.REFUSED
+    assert at.plc.read()["recipe_id"] == 2
+    choice = at.station.station.folder / "choice.json"
+    assert json.loads(choice.read_text())["recipe_id"] == 2
 
 
 def test_a_trigger_taken_before_new_settings_is_kept_or_counted_as_missed(line: Callable[..., Line]) -> None:
