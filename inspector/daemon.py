@@ -301,6 +301,8 @@ class Daemon:
         old, inspect = self._settings, self._make_inspection(new)
         if new.plc != old.plc:
             self._serve_anew(new)
+        else:
+            self._server.renew_certificates()
         self._cycle.take_over(new, self._build(new.camera, new.module, new.lamp), inspect)
         self._settings = new
         self._serve()
@@ -312,7 +314,8 @@ class Daemon:
 
     def _serve_anew(self, new: Settings) -> None:
         """Serve as ``new`` says. Raises PlcServerError, and then serves on as before."""
-        server, in_the_way = _server(new, self._control), new.plc.port == self._settings.plc.port
+        server = _server(new, self._control)
+        in_the_way = bool(new.plc.ports & self._settings.plc.ports)
         if in_the_way:
             self._server.stop()
         try:
@@ -357,9 +360,10 @@ class Daemon:
 
 
 def _server(settings: Settings, control: PlcControl) -> PlcServer:
-    plc = settings.plc.model_dump(exclude={"buffer_results", "sequence_file"})
     longest_s = settings.camera.deadline_s + LAMP_REQUESTS * settings.module.deadline_s
-    return PlcServer(stall_after_s=longest_s + STALL_MARGIN_S, on_control=control.write, **plc)
+    return PlcServer(
+        stall_after_s=longest_s + STALL_MARGIN_S, on_control=control.write, name=settings.station, **settings.plc.served
+    )
 
 
 def _log_problems(error: SettingsError) -> None:

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import hashlib
-import ipaddress
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,13 +14,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, PositiveFloat
+from pydantic import ConfigDict, Field, PositiveFloat
 
 from firmware_bridge import settings as bridge
 from inspector import lamp_curve_file, recipe_folder, recipe_proof, yaml_document
 from inspector.acquire.light import LightSettings
 from inspector.calibration_file import CalibrationError
 from inspector.calibration_file import read as read_calibration
+from inspector.publish.plc_settings import PlcSettings
 from inspector.recipe import Recipe, Strict, find
 from inspector.yaml_document import Document, Place, Problem
 
@@ -32,41 +32,6 @@ class SettingsError(ValueError):
     def __init__(self, problems: tuple[Problem, ...]) -> None:
         super().__init__("\n".join(map(str, problems)))
         self.problems = problems
-
-
-def _network(text: str) -> str:
-    try:
-        ipaddress.ip_network(text)
-    except ValueError as error:
-        raise ValueError(f"allowed: an address or a network such as 192.168.1.0/24 ({error})") from error
-    return text
-
-
-class PlcSettings(Strict):
-    """The Modbus TCP server that the line's PLC polls."""
-
-    host: str = Field("127.0.0.1", min_length=1)
-    """Address of this machine to listen on; 0.0.0.0 for all of them."""
-    port: int = Field(5020, ge=0, le=65535)
-    """TCP port; 502 is Modbus' own and needs a privilege; 0 takes any free one."""
-    unit_ids: tuple[Annotated[int, Field(ge=0, le=255)], ...] = Field((0, 1, 255), min_length=1)
-    """Unit ids that are answered."""
-    allow: tuple[Annotated[str, AfterValidator(_network)], ...] = ("127.0.0.0/8", "::1/128")
-    """Addresses and networks that may connect."""
-    max_connections: int = Field(16, ge=1, le=1024)
-    """More clients than this at once are turned away."""
-    idle_timeout_s: PositiveFloat = 60.0
-    """A connection without a request for so long is closed, seconds."""
-    word_order: Literal["high_first", "low_first"] = "high_first"
-    """Order of the two registers of a 32-bit value."""
-    buffer_results: bool = False
-    """Keep each result until the PLC acknowledges it, also while its bit BUFFER_RESULTS is off."""
-    sequence_file: Annotated[Path, Field(strict=False)] | None = None
-    """File in which the last result's number is kept, so that `sequence` goes on after a restart; null: from 0."""
-
-    def under(self, folder: Path) -> PlcSettings:
-        """The same settings with relative paths taken from ``folder``."""
-        return self.model_copy(update={"sequence_file": self.sequence_file and folder / self.sequence_file})
 
 
 class FreeRunning(Strict):
@@ -225,7 +190,7 @@ def load(path: Path) -> Settings:
     if settings:
         problems += tuple(_recipe_problems(document, settings, path.parent))
         problems += (*_pace_problems(document, settings), *_trigger_problems(document, settings))
-        problems += tuple(_patch_problems(document, settings, path.parent))
+        problems += (*_patch_problems(document, settings, path.parent), *_tls_problems(document, settings, path.parent))
     if settings is None or problems:
         raise SettingsError(problems)
     return settings.under(path.parent)
@@ -372,6 +337,19 @@ def _patch_problems(document: Document, settings: Settings, folder: Path) -> Ite
         if patch.x_px + patch.width_px > camera.width_px or patch.y_px + patch.height_px > camera.height_px:
             allowed = f"allowed: within the calibrated frame, {camera.width_px} x {camera.height_px} px"
             yield document.problem(("light", "patch"), patch.model_dump(), allowed)
+
+
+def _tls_problems(document: Document, settings: Settings, folder: Path) -> Iterator[Problem]:
+    """Certificates that cannot be used: the service would serve nothing."""
+    if settings.plc.tls is None:
+        return
+    from inspector.publish import plc_tls  # only stations with TLS pay for it
+
+    try:
+        plc_tls.context(settings.plc.tls.under(folder))
+    except plc_tls.TlsError as error:
+        value = str(getattr(settings.plc.tls, error.key))
+        yield document.problem(("plc", "tls", error.key), value, f"{error.why}; allowed: {error.remedy}")
 
 
 def _port_problems(document: Document, data: object) -> Iterator[Problem]:

@@ -1,7 +1,7 @@
 """Modbus slave without I/O: a request PDU in, the answer PDU out, right to the byte.
 
-Source: MODBUS Application Protocol Specification V1.1b3. Function codes 1-6, 15, 16, 22, 23 and 43/14. A PDU is
-the function code and its data, big-endian, without address, transaction or checksum: those belong to
+Source: MODBUS Application Protocol Specification V1.1b3. Function codes 1-6, 8 (what it counts), 15, 16, 22, 23 and
+43/14. A PDU is the function code and its data, big-endian, without address, transaction or checksum: those belong to
 :mod:`firmware_bridge.wire.modbus_frames`, which puts a :class:`Slave` behind a TCP or an RTU byte stream.
 
 Addresses are zero-based, as on the wire. What lies at them is the business of a :class:`DataModel`.
@@ -9,9 +9,11 @@ Addresses are zero-based, as on the wire. What lies at them is the business of a
 
 from __future__ import annotations
 
+import contextlib
 import enum
 import struct
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import ClassVar, Protocol
 
 ADDRESS_SPACE = 0x10000
@@ -21,8 +23,13 @@ MAX_READ_REGISTERS = 125
 MAX_WRITE_REGISTERS = 123
 MAX_READ_WRITE_REGISTERS = 121
 MAX_PDU_BYTES = 253
+MAX_IDENTITY_BYTES = MAX_PDU_BYTES - 9
 COIL_ON = 0xFF00
+DIAGNOSTICS, ENCAPSULATED = 8, 0x2B
 MEI_DEVICE_IDENTIFICATION = 0x0E
+LAST_READ_FUNCTION = 4
+"""Functions 1 to 4 read, and change nothing."""
+WRITE_FUNCTIONS = frozenset((5, 6, 15, 16, 22, 23))
 
 
 class Table(enum.Enum):
@@ -99,38 +106,76 @@ class DataModel(Protocol):
         ...
 
 
+@dataclass(slots=True)
+class Counters:
+    """What happened since the start, or since a master cleared it (function 8, sub-function 10). They never wrap."""
+
+    requests: int = 0
+    """Messages for this slave, broadcasts among them."""
+    overheard: int = 0
+    """Whole messages on the line for others."""
+    errors: int = 0
+    """Stretches of the line that were no message: a wrong checksum, noise, a stream out of step."""
+    unanswered: int = 0
+    """Broadcasts: carried out, and not answered."""
+    exceptions: dict[int, int] = field(default_factory=dict)
+    """How often each exception code was answered."""
+
+    def clear(self) -> None:
+        """Begin anew."""
+        self.requests = self.overheard = self.errors = self.unanswered = 0
+        self.exceptions = {}
+
+
 class Slave:
-    """Answers requests for one or more unit ids.
+    """Answers requests for one or more unit ids, and counts in ``counters`` what it answered.
 
     ``models`` maps unit ids to what lies behind them (several ids may share one model). ``identity`` maps object
     ids (0 vendor name, 1 product code, 2 revision, ...) to ASCII text for function 43/14; without it that
-    function is unknown.
+    function is unknown. Raises ValueError for an identity that no answer can hold.
     """
 
     def __init__(self, models: Mapping[int, DataModel], identity: Mapping[int, str] | None = None) -> None:
         self.models = dict(models)
+        self.counters = Counters()
         self._identity = {key: value.encode("ascii") for key, value in sorted((identity or {}).items())}
+        if any(len(value) > MAX_IDENTITY_BYTES for value in self._identity.values()):
+            raise ValueError(f"an identity's text has at most {MAX_IDENTITY_BYTES} characters")
 
-    def answer(self, unit: int, pdu: bytes) -> bytes:
-        """The answer to one request PDU of at least one byte; an exception PDU if it is refused."""
-        function = pdu[0]
+    def answer(self, unit: int, pdu: bytes, *, may_write: bool = True) -> bytes:
+        """The answer to one request PDU of at least one byte; an exception PDU if it is refused.
+
+        Who may not write is told exception 1, "not an allowable action for the server": Modbus/TCP Security answers
+        so to a role without the right, and 2 would send its reader to look for a wrong address.
+        """
+        function, counters = pdu[0], self.counters
+        counters.requests += 1
         try:
             model = self.models.get(unit)
             if model is None:
                 raise NoSuchUnit
-            if function == 0x2B:
+            if function in WRITE_FUNCTIONS and not may_write:
+                raise IllegalFunction
+            if function == ENCAPSULATED:
                 return _identify(self._identity, pdu)
+            if function == DIAGNOSTICS:
+                return _diagnose(counters, pdu, may_write)
             handler = _HANDLERS.get(function)
             if handler is None:
                 raise IllegalFunction
             return handler(model, pdu)
         except ModbusError as error:
+            counters.exceptions[error.code] = counters.exceptions.get(error.code, 0) + 1
             return bytes((function | 0x80, error.code))
 
-    def broadcast(self, pdu: bytes) -> None:
-        """Carry out a request sent to every unit; nobody answers."""
-        for unit in self.models:
-            self.answer(unit, pdu)
+    def broadcast(self, pdu: bytes, *, may_write: bool = True) -> None:
+        """Carry out a write sent to every unit; nobody answers, and no refusal is told or counted."""
+        self.counters.requests += 1
+        self.counters.unanswered += 1
+        if pdu[0] in WRITE_FUNCTIONS and may_write:
+            for model in {id(model): model for model in self.models.values()}.values():
+                with contextlib.suppress(ModbusError):
+                    _HANDLERS[pdu[0]](model, pdu)
 
 
 def pack_bits(bits: Sequence[bool]) -> bytes:
@@ -255,6 +300,40 @@ _HANDLERS: dict[int, Callable[[DataModel, bytes], bytes]] = {
     22: _mask_write,
     23: _read_write,
 }
+
+_QUERY_DATA, _DIAGNOSTIC_REGISTER, _CLEAR_COUNTERS = 0, 2, 10
+_COUNTS: dict[int, Callable[[Counters], int]] = {
+    _DIAGNOSTIC_REGISTER: lambda counters: 0,
+    11: lambda counters: counters.requests + counters.overheard,
+    12: lambda counters: counters.errors,
+    13: lambda counters: sum(counters.exceptions.values()),
+    14: lambda counters: counters.requests,
+    15: lambda counters: counters.unanswered,
+    16: lambda counters: 0,  # nothing here answers exception 7
+    17: lambda counters: counters.exceptions.get(DeviceBusy.code, 0),
+    18: lambda counters: 0,  # a character overrun is the port's, which does not tell
+}
+"""What function 8 reads by sub-function: a number of 16 bits, which wraps."""
+
+
+def _diagnose(counters: Counters, pdu: bytes, may_write: bool) -> bytes:
+    """Function 8: the echo, and the counters. What would disturb the line (restart, listen only) is unknown."""
+    if len(pdu) < 3:
+        raise IllegalValue
+    wanted = int.from_bytes(pdu[1:3], "big")
+    if wanted == _QUERY_DATA:
+        if len(pdu) < 5 or len(pdu) % 2 == 0 or len(pdu) > MAX_PDU_BYTES:
+            raise IllegalValue
+        return pdu
+    if wanted not in _COUNTS and not (wanted == _CLEAR_COUNTERS and may_write):
+        raise IllegalFunction
+    if len(pdu) != 5 or pdu[3] or pdu[4]:
+        raise IllegalValue
+    if wanted == _CLEAR_COUNTERS:
+        counters.clear()
+        return pdu
+    return pdu[:3] + (_COUNTS[wanted](counters) & 0xFFFF).to_bytes(2, "big")
+
 
 _LAST_OBJECT_OF_STREAM = {1: 0x02, 2: 0x7F, 3: 0xFF}
 """Read-device-id code to the last object it covers: basic, regular, extended."""

@@ -157,6 +157,87 @@ def test_any_error_of_the_model_is_answered_with_its_code() -> None:
     assert ask(Slave({UNIT: Busy()}), "03 0000 0001") == "83 06"
 
 
+@pytest.mark.parametrize("request_pdu", ["05 0000 ff00", "06 0000 0001", "0f 0000 0001 01 01", "10 0000 0001 02 0001"])
+def test_who_may_not_write_is_told_that_the_function_is_not_his(slave: Slave, memory: Memory, request_pdu: str) -> None:
+    before = bytes(memory.registers), list(memory.bits)
+    request = bytes.fromhex(request_pdu)
+    assert slave.answer(UNIT, request, may_write=False) == bytes((request[0] | 0x80, 1))
+    slave.broadcast(request, may_write=False)
+    assert (memory.registers, memory.bits) == before
+    assert slave.answer(UNIT, bytes.fromhex("03 0000 0001"), may_write=False).hex() == "03020000"
+
+
+@pytest.mark.parametrize(
+    ("request_pdu", "answer"),
+    [
+        ("08 0000 a537", "08 00 00 a5 37"),
+        ("08 0000 a537 1234", "08 00 00 a5 37 12 34"),
+        ("08 0002 0000", "08 00 02 00 00"),
+        ("08 000b 0000", "08 00 0b 00 06"),
+        ("08 000c 0000", "08 00 0c 00 00"),
+        ("08 000d 0000", "08 00 0d 00 02"),
+        ("08 000e 0000", "08 00 0e 00 05"),
+        ("08 000f 0000", "08 00 0f 00 01"),
+        ("08 0010 0000", "08 00 10 00 00"),
+        ("08 0011 0000", "08 00 11 00 01"),
+        ("08 0012 0000", "08 00 12 00 00"),
+        ("08", "88 03"),
+        ("08 00", "88 03"),
+        ("08 0000", "88 03"),
+        ("08 0000 a5", "88 03"),
+        ("08 0001 0000", "88 01"),
+        ("08 0003 0a00", "88 01"),
+        ("08 0004 0000", "88 01"),
+        ("08 0013 0000", "88 01"),
+        ("08 000b 0001", "88 03"),
+        ("08 000b 0000 00", "88 03"),
+    ],
+)
+def test_diagnostics(request_pdu: str, answer: str) -> None:
+    class BusyAt9(Memory):
+        def read_registers(self, table: Table, address: int, count: int) -> bytes:
+            if address == 9:
+                raise DeviceBusy
+            return super().read_registers(table, address, count)
+
+    slave = Slave({UNIT: BusyAt9()})
+    ask(slave, "03 0000 0001")
+    ask(slave, "03 0000 0000")
+    ask(slave, "03 0009 0001")
+    slave.broadcast(bytes.fromhex("06 0001 0001"))
+    slave.counters.overheard += 1
+    assert ask(slave, request_pdu) == answer
+
+
+def test_counters_are_cleared_by_who_may_write(slave: Slave) -> None:
+    for _ in range(3):
+        ask(slave, "55")
+    assert slave.answer(UNIT, bytes.fromhex("08 000a 0000"), may_write=False).hex() == "8801"
+    assert ask(slave, "08 000d 0000") == "08 00 0d 00 04"
+    assert ask(slave, "08 000a 0000") == "08 00 0a 00 00"
+    assert ask(slave, "08 000d 0000") == "08 00 0d 00 00"
+    assert ask(slave, "08 000e 0000") == "08 00 0e 00 02"
+
+
+def test_counters_wrap_at_16_bits_on_the_wire(slave: Slave) -> None:
+    slave.counters.requests = 0x1FFFF
+    assert ask(slave, "08 000e 0000") == "08 00 0e 00 00"
+
+
+def test_an_identity_that_no_answer_holds_is_refused() -> None:
+    assert ask(Slave({UNIT: Memory()}, {0: "x" * 244}), "2b 0e 01 00").startswith("2b 0e 01 81 00 00 01 00 f4 78")
+    with pytest.raises(ValueError, match="at most 244"):
+        Slave({UNIT: Memory()}, {0: "x" * 245})
+
+
+def test_a_level_above_its_own_is_answered_with_what_there_is(slave: Slave) -> None:
+    assert ask(slave, "2b 0e 03 00")[:20] == "2b 0e 03 81 00 00 03"
+    assert ask(slave, "2b 0e 02 07")[:20] == "2b 0e 02 81 00 00 03"
+    regular = Slave({UNIT: Memory()}, IDENTITY | {4: "Name"})
+    assert ask(regular, "2b 0e 02 04") == "2b 0e 02 82 00 00 01 04 04 4e 61 6d 65"
+    assert ask(regular, "2b 0e 01 00")[:20] == "2b 0e 01 82 00 00 03"
+
+
 def test_without_identity_the_function_is_unknown(memory: Memory) -> None:
     assert ask(Slave({UNIT: memory}), "2b 0e 01 00") == "ab 01"
 
