@@ -90,7 +90,7 @@ class CommandResult(enum.IntEnum):
 COMMAND_MEANINGS = {
     Command.NONE: "Nothing: EXECUTE fails with UNKNOWN_COMMAND",
     Command.CHANGE_RECIPE: "Inspect by the recipe whose id is in command_argument; the old one stays if that fails",
-    Command.RESET_STATISTICS: "Begin the statistics anew",
+    Command.RESET_STATISTICS: "Begin the statistics anew, as after a repair; command_argument 1: their baselines too",
     Command.DISCARD_RESULTS: "Forget the results that were not acknowledged; they count as overruns",
 }
 RESULT_MEANINGS = {

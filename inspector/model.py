@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from inspector.line_statistics import Statistics
+
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
@@ -235,4 +237,8 @@ class Snapshot:
     plc: PlcSide = PlcSide()
     simulated: bool = False
     settings_refused: bool = False
+    statistics: Statistics | None = None
+    """Of the paint line, after the newest result, also while older ones are shown; None while there are none."""
+    statistics_sequence: int = 0
+    """Sequence of that result."""
     extra: dict[str, float] = field(default_factory=dict)

@@ -113,6 +113,7 @@ def stopped(last: Snapshot) -> Snapshot:
         reasons=Reason(0),
         defects=(),
         unpaired_count=0,
+        statistics=None,
         lamp_read_v=0.0,
         lamp_ok=False,
         camera_ok=False,

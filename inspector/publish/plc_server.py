@@ -250,6 +250,7 @@ def as_stalled(snapshot: Snapshot) -> Snapshot:
         reasons=Reason.DEVICE_FAULT,
         defects=(),
         unpaired_count=0,
+        statistics=None,
         plc=replace(snapshot.plc, answers=snapshot.plc.answers & ~(Answer.ONLINE | Answer.TRIGGER_READY)),
     )
 

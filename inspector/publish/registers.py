@@ -1,12 +1,11 @@
 """The register map: one table from which the server's image, the decoder, the lists and the manual's page come.
 
 Addresses are zero-based, as on the wire. The *result block* is one read of 125 registers at address 0; the *control
-block*, which the PLC writes, is at 500; the *defect list* begins at 1000. All are packed from one
-:class:`~inspector.model.Snapshot` into one :class:`Image`, which is swapped whole, so no reader can see half of it.
+block*, which the PLC writes, is at 500; the *defect list* begins at 1000, the *statistics* at 2000. All are packed from
+one :class:`~inspector.model.Snapshot` into one :class:`Image`, which is swapped whole, so no reader can see half of it.
 
-Numbers come in two kinds. *Exact* ones (ids, codes, bits, the sequence) are taken modulo their range. *Measured*
-ones are divided by their scale and rounded; out of range they saturate and the status bit SATURATED_VALUE is set;
-None and NaN have an encoding of their own (:class:`WireType`), so an absent value is never a small one.
+How numbers lie in registers: :mod:`inspector.publish.wire_fields`. A measured value that does not fit its register sets
+the status bit SATURATED_VALUE.
 """
 
 from __future__ import annotations
@@ -14,13 +13,15 @@ from __future__ import annotations
 import enum
 import math
 import struct
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, Literal, TypeVar
 
 from inspector.handshake import ControlBlock
 from inspector.handshake_table import Control
 from inspector.model import Defect, Snapshot, State, Verdict
+from inspector.publish.statistics_registers import STATISTICS_ADDRESS, STATISTICS_FIELDS, Shown, encode_statistics
+from inspector.publish.wire_fields import EXACT_UNITS, TYPES, Field, Layout, Number, SourceT
+from inspector.publish.wire_fields import WordOrder as WordOrder
 
 MAP_VERSION = 1
 """Raised when a register's meaning or place changes; a new register in a gap does not raise it."""
@@ -35,33 +36,6 @@ FIRST_BLOCK_DEFECT = RESULT_WORDS - 1 - BLOCK_DEFECTS * DEFECT_WORDS
 FIRST_LIST_DEFECT = 10
 LIST_END = FIRST_LIST_DEFECT + LIST_DEFECTS * DEFECT_WORDS
 LIST_WORDS = LIST_END + 1
-
-WordOrder = Literal["high_first", "low_first"]
-Number = float | int | None
-SourceT = TypeVar("SourceT")
-
-EXACT_UNITS = ("id", "tick", "code", "bits")
-"""Units of exact values; every other unit measures or counts."""
-
-
-@dataclass(frozen=True, slots=True)
-class WireType:
-    """How a number lies in registers: ``struct`` format, range of measured values, and what stands for no value."""
-
-    words: int
-    format: str
-    lowest: float
-    highest: float
-    nothing: float
-
-
-LARGEST_F32 = 3.4028234663852886e38
-TYPES = {
-    "u16": WireType(1, "H", 0, 0xFFFE, 0xFFFF),
-    "i16": WireType(1, "h", -0x7FFF, 0x7FFF, -0x8000),
-    "u32": WireType(2, "I", 0, 0xFFFF_FFFE, 0xFFFF_FFFF),
-    "f32": WireType(2, "f", -LARGEST_F32, LARGEST_F32, math.nan),
-}
 
 
 class Status(enum.IntFlag):
@@ -105,22 +79,6 @@ class Publication:
     defects: tuple[Defect, ...]
     saturated: bool = False
     """Some measured value of this publication does not fit its register."""
-
-
-@dataclass(frozen=True)
-class Field(Generic[SourceT]):
-    """One register or pair of registers: where in its area, how, and what it tells.
-
-    ``scale``: value = register * scale. Values in one of :data:`EXACT_UNITS` wrap, others saturate.
-    """
-
-    address: int
-    name: str
-    type: str
-    unit: str
-    meaning: str
-    value: Callable[[SourceT], Number]
-    scale: float = 1
 
 
 def _age_ms(p: Publication) -> Number:
@@ -249,7 +207,8 @@ def _area_rows(
 RESULT_REGISTERS = tuple(_area_rows(RESULT_ADDRESS, RESULT_FIELDS, "defect", FIRST_BLOCK_DEFECT, BLOCK_DEFECTS))
 LIST_REGISTERS = tuple(_area_rows(LIST_ADDRESS, LIST_FIELDS, "list_defect", FIRST_LIST_DEFECT, LIST_DEFECTS))
 CONTROL_REGISTERS = tuple(_row(field, CONTROL_ADDRESS, field.name, field.meaning, "RW") for field in CONTROL_FIELDS)
-REGISTERS = RESULT_REGISTERS + CONTROL_REGISTERS + LIST_REGISTERS
+STATISTICS_REGISTERS = tuple(_row(field, STATISTICS_ADDRESS, field.name, field.meaning) for field in STATISTICS_FIELDS)
+REGISTERS = RESULT_REGISTERS + CONTROL_REGISTERS + LIST_REGISTERS + STATISTICS_REGISTERS
 """Every register there is, by address. Words between them inside an area are reserved and read 0."""
 
 
@@ -260,47 +219,9 @@ class Image:
     areas: tuple[tuple[int, bytes], ...]
 
 
-class _Layout(Generic[SourceT]):
-    """Packs fields into an area of ``words`` registers in one step; gaps are zero."""
-
-    def __init__(self, fields: Sequence[Field[SourceT]], words: int) -> None:
-        self._fields = fields
-        parts, position = [">"], 0
-        for field in fields:
-            wire = TYPES[field.type]
-            parts += [f"{2 * (field.address - position)}x", wire.format]
-            position = field.address + wire.words
-        self._struct = struct.Struct("".join([*parts, f"{2 * (words - position)}x"]))
-        self._doubles = [2 * f.address for f in fields if TYPES[f.type].words == 2]
-
-    def pack(self, source: SourceT, order: WordOrder, overflow: list[str], filling: bytes = b"", at: int = 0) -> bytes:
-        """The area's bytes, with ``filling`` laid in at word ``at``; names of saturated fields go to ``overflow``."""
-        numbers = [_wire_number(field, source, overflow) for field in self._fields]
-        area = bytearray(self._struct.pack(*numbers))
-        area[2 * at : 2 * at + len(filling)] = filling
-        if order == "low_first":
-            for byte in self._doubles:
-                area[byte : byte + 4] = area[byte + 2 : byte + 4] + area[byte : byte + 2]
-        return bytes(area)
-
-
-def _wire_number(field: Field[SourceT], source: SourceT, overflow: list[str]) -> float | int:
-    """The number as it is packed: wrapped if exact, else scaled, rounded and saturated."""
-    value, wire = field.value(source), TYPES[field.type]
-    if field.unit in EXACT_UNITS:
-        return int(value or 0) % (1 << 16 * wire.words)
-    if value is None or math.isnan(value):
-        return wire.nothing
-    scaled = value / field.scale
-    if not wire.lowest - 0.5 <= scaled < wire.highest + 0.5:
-        overflow.append(field.name)
-    within = min(max(scaled, wire.lowest), wire.highest)
-    return within if field.type == "f32" else round(within)
-
-
-_RESULT_LAYOUT = _Layout(RESULT_FIELDS, RESULT_WORDS)
-_LIST_LAYOUT = _Layout(LIST_FIELDS, LIST_WORDS)
-_DEFECT_LAYOUT = _Layout(DEFECT_FIELDS, DEFECT_WORDS)
+_RESULT_LAYOUT = Layout(RESULT_FIELDS, RESULT_WORDS)
+_LIST_LAYOUT = Layout(LIST_FIELDS, LIST_WORDS)
+_DEFECT_LAYOUT = Layout(DEFECT_FIELDS, DEFECT_WORDS)
 
 
 def _rank(defect: Defect) -> float:
@@ -322,7 +243,9 @@ def encode_image(snapshot: Snapshot, now_s: float, heartbeat: int, word_order: W
         block = _RESULT_LAYOUT.pack(source, word_order, overflow, largest, FIRST_BLOCK_DEFECT)
     written = snapshot.plc.control
     control = struct.pack(f">{CONTROL_WORDS}H", *written, *[0] * (CONTROL_WORDS - len(written)))
-    return Image(((RESULT_ADDRESS, block), (LIST_ADDRESS, listed), (CONTROL_ADDRESS, control)))
+    shown = Shown(snapshot.statistics, snapshot.statistics_sequence, now_s)
+    statistics = (STATISTICS_ADDRESS, encode_statistics(shown, word_order))
+    return Image(((RESULT_ADDRESS, block), (LIST_ADDRESS, listed), (CONTROL_ADDRESS, control), statistics))
 
 
 def encode(snapshot: Snapshot, now_s: float, heartbeat: int, word_order: WordOrder = "high_first") -> bytes:

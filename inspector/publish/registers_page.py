@@ -6,7 +6,8 @@ import csv
 import enum
 import io
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from inspector.faults import Fault
 from inspector.handshake_table import (
@@ -19,6 +20,7 @@ from inspector.handshake_table import (
     CommandResult,
     Control,
 )
+from inspector.line_statistics import ACTION_MEANINGS, RULE_MEANINGS, Spread, Trend
 from inspector.model import Defect, Flag, Reason, Snapshot, State, Verdict
 from inspector.publish import registers
 from inspector.publish.registers import (
@@ -26,10 +28,17 @@ from inspector.publish.registers import (
     LIST_REGISTERS,
     REGISTERS,
     RESULT_REGISTERS,
+    STATISTICS_REGISTERS,
     STATUS_MEANINGS,
     Register,
     Status,
 )
+from inspector.publish.statistics_registers import (
+    STATISTICS_ADDRESS,
+    STATISTICS_STATUS_MEANINGS,
+    STATISTICS_WORDS,
+)
+from inspector.publish.wire_fields import TYPES
 
 COLUMNS = ("name", "address", "type", "words", "scale", "unit", "access", "meaning")
 
@@ -105,6 +114,14 @@ def as_markdown() -> str:
         result=_markdown_table(COLUMNS, (tuple(row.values()) for row in as_rows(RESULT_REGISTERS))),
         control=_markdown_table(COLUMNS, (tuple(row.values()) for row in as_rows(CONTROL_REGISTERS))),
         listing=_markdown_table(COLUMNS, (tuple(row.values()) for row in as_rows(_shortened_list()))),
+        statistics_address=STATISTICS_ADDRESS,
+        statistics_words=STATISTICS_WORDS,
+        statistics=_markdown_table(COLUMNS, (tuple(row.values()) for row in as_rows(STATISTICS_REGISTERS))),
+        statistics_bits=_meanings(STATISTICS_STATUS_MEANINGS),
+        rules=_meanings(RULE_MEANINGS),
+        actions=_meanings(ACTION_MEANINGS),
+        trends=_codes(Trend),
+        spreads=_codes(Spread),
         verdicts=_codes(Verdict),
         states=_markdown_table(("code", "name", "meaning"), ((s.value, s.name, STATE_MEANINGS[s]) for s in State)),
         status=_markdown_table(("bit", "name", "meaning"), ((_bit(b), b.name, STATUS_MEANINGS[b]) for b in Status)),
@@ -149,15 +166,19 @@ def _bits(kind: type[enum.IntFlag]) -> str:
     return _markdown_table(("bit", "name"), ((_bit(flag), flag.name) for flag in kind))
 
 
+def _meanings(meanings: Mapping[Any, str]) -> str:
+    """Bits or codes with what each means."""
+    is_bits = isinstance(next(iter(meanings)), enum.IntFlag)
+    rows = ((_bit(m) if is_bits else m.value, m.name, meaning) for m, meaning in meanings.items())
+    return _markdown_table(("bit" if is_bits else "code", "name", "meaning"), rows)
+
+
 def _codes(kind: type[enum.IntEnum]) -> str:
     return _markdown_table(("code", "name"), ((member.value, member.name) for member in kind))
 
 
 def _types() -> str:
-    rows = (
-        (name, t.words, f"{t.lowest:.10g} to {t.highest:.10g}", f"{t.nothing:.10g}")
-        for name, t in registers.TYPES.items()
-    )
+    rows = ((name, t.words, f"{t.lowest:.10g} to {t.highest:.10g}", f"{t.nothing:.10g}") for name, t in TYPES.items())
     return _markdown_table(("type", "registers", "measured values", "no value"), rows)
 
 
@@ -231,6 +252,29 @@ All defects of the same result, up to {list_defects}, highest first. Defect n be
 {list_address} first and {list_end} last, and read again if the two differ.
 
 {listing}
+
+## Statistics, address {statistics_address}
+How the paint line is doing after the newest result, for a control loop: one read of {statistics_words} registers. What
+is not known yet has no value. `action` is advice and no command; act on it while VALID is set, the age is what your
+line's pace makes it, and `confidence` is enough for you. Command RESET_STATISTICS begins the charts anew, as after a
+repair (its argument 1: also the baselines, when the line is in order as it is now).
+
+{statistics}
+
+### Statistics bits
+{statistics_bits}
+
+### Alarm rules
+{rules}
+
+### Actions
+{actions}
+
+### Trends
+{trends}
+
+### Spreads
+{spreads}
 
 ## Verdicts
 {verdicts}

@@ -14,9 +14,10 @@ from pydantic import ValidationError
 
 from inspector.judge.spc import report
 from inspector.judge.spc.monitor import MOST_RECIPES, Monitor
-from inspector.judge.spc.panel import Panel, Rule, Spread, Statistics, TooLittle, Trend
-from inspector.judge.spc.settings import Action, ActionRow, StatisticsSettings, Target, When
+from inspector.judge.spc.panel import Panel
+from inspector.judge.spc.settings import ActionRow, StatisticsSettings, Target, When
 from inspector.judge.spc.spread import CELLS, cells_hit, centre_mm
+from inspector.line_statistics import Action, Rule, Spread, Statistics, TooLittle, Trend
 
 BOUNDS = (0.0, 0.0, 400.0, 300.0)
 AREA_M2 = 0.12
@@ -185,7 +186,7 @@ def test_higher_seeds_are_found_by_run_rules_once_heights_have_a_baseline() -> N
     monitor, line = Monitor(StatisticsSettings()), Line()
     assert run(monitor, line, 49).too_little & TooLittle.HEIGHT_BASELINE
     assert not run(monitor, line, 100).alarm
-    found = run(monitor, line, 20, height_um=400.0)
+    found = run(monitor, line, 45, height_um=400.0)
     assert found.rule is Rule.HEIGHT_ABOVE
     assert found.run_rule in (1, 2)
     assert found.action == Action.CHECK_PAINT

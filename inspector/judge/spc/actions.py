@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from inspector.judge.spc.panel import Statistics
-from inspector.judge.spc.settings import Action, ActionRow, StatisticsSettings, When
+from inspector.judge.spc.settings import ActionRow, StatisticsSettings, When
+from inspector.line_statistics import Action, Statistics
 
 DOUBTFUL = 0.5
 """Confidence is multiplied by this while the baseline is doubtful."""

@@ -64,7 +64,7 @@ def _lower_tail(count: int, mean: float) -> float:
 def score(count: int, mean: float) -> float:
     """The count as a standard normal value: the quantile of its mid-probability under Poisson's law.
 
-    Sums of such scores run no faster into a CUSUM's limit than normal values do, at means from 0.3 up (docs/loop.md);
+    Sums of such scores run no faster into a CUSUM's limit than normal values do, at means from 0.3 up;
     plain (count - mean) / sqrt(mean) is skewed and would.
     """
     half = 0.5 * _probability(count, mean)

@@ -10,11 +10,12 @@ import math
 
 from inspector.judge.spc import baseline, counts, heights, runs, spread, state
 from inspector.judge.spc.baseline import CountBaseline, HeightBaseline, Learning
-from inspector.judge.spc.panel import MOST_DEFECTS, Panel, Rule, Statistics
+from inspector.judge.spc.panel import MOST_DEFECTS, Panel
 from inspector.judge.spc.report import report
 from inspector.judge.spc.settings import StatisticsSettings
 from inspector.judge.spc.state import Charts, Seen, State
 from inspector.judge.spc.window import repeated
+from inspector.line_statistics import Rule, Statistics
 
 MOST_RECIPES = 256
 """Baselines of so many recipes are kept; beyond, the one longest unused is learnt anew."""

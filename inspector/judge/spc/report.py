@@ -8,9 +8,10 @@ from itertools import chain
 
 from inspector.judge.spc import actions, counts, heights, runs, window
 from inspector.judge.spc.baseline import CountBaseline, Learning
-from inspector.judge.spc.panel import Panel, Place, Rule, Spread, Statistics, TooLittle, Trend
+from inspector.judge.spc.panel import Panel
 from inspector.judge.spc.settings import FALLS, RISES, StatisticsSettings
 from inspector.judge.spc.state import Charts
+from inspector.line_statistics import Place, Rule, Spread, Statistics, TooLittle, Trend
 
 HEIGHT_RULES = (Rule.HEIGHT_ABOVE, Rule.HEIGHT_BELOW, Rule.HEIGHT_PATTERN)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, PositiveFloat, model_validator
@@ -19,20 +18,6 @@ class Target(Strict):
     """Defects per square metre."""
     sigma_z: float = Field(1.0, ge=1, le=100)
     """By how much counts scatter more than Poisson's law lets them (Laney's sigma z); 1: no more."""
-
-
-class Action(enum.IntEnum):
-    """Advisory actions by name; the plant's own have numbers from 100."""
-
-    NONE = 0
-    HOLD = 1
-    CHECK_FILTER = 2
-    CLEAN_BOOTH = 3
-    CHECK_FIXTURE = 4
-    CHECK_PAINT = 5
-    CHECK_LAMP = 6
-    CHECK_STATION = 7
-    WATCH = 8
 
 
 ActionName = Literal[
@@ -184,7 +169,7 @@ class StatisticsSettings(Strict):
     """Its decision interval, in the same unit."""
     cusum_head_start: float = Field(0.5, ge=0, lt=1)
     """Fast initial response: after a reset the sums begin at this share of the limit; 0: at 0."""
-    height_group_panels: int = Field(10, ge=1, le=1000)
+    height_group_panels: int = Field(20, ge=1, le=1000)
     """Run rules look at the mean height of so many panels with heights at a time."""
     run_rules: tuple[Annotated[int, Field(ge=1, le=8)], ...] = (1, 2)
     """Nelson's numbers of the run rules on mean height; empty: none."""

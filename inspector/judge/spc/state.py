@@ -9,8 +9,9 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from inspector.judge.spc.baseline import Learning
 from inspector.judge.spc.charts import Cusum, Ewma
-from inspector.judge.spc.panel import Bounds, Rule
+from inspector.judge.spc.panel import Bounds
 from inspector.judge.spc.spread import Neighbours
+from inspector.line_statistics import Rule
 
 
 @dataclass(slots=True)

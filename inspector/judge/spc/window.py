@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 from inspector.judge.spc import spread, trend
-from inspector.judge.spc.panel import Place, Spread, Trend
 from inspector.judge.spc.settings import StatisticsSettings
 from inspector.judge.spc.state import Seen
+from inspector.line_statistics import Place, Spread, Trend
 
 PER_PANELS = 100
 """Trends are given over so many panels."""
