@@ -1,6 +1,7 @@
-/* A Modbus TCP client on libmodbus: reads the same registers again and again, as fast as it can.
+/* A Modbus client on libmodbus: reads the same registers again and again, as fast as it can.
  *
- * usage: modbus_reader HOST PORT FUNCTION ADDRESS COUNT READS
+ * usage: modbus_reader HOST PORT FUNCTION ADDRESS COUNT READS      over TCP, or
+ *        modbus_reader DEVICE UNIT FUNCTION ADDRESS COUNT READS    over a serial line, 9600 baud, where DEVICE has a /
  * stdout: READS * COUNT registers, 16 bit, in the machine's byte order
  * stderr: seconds taken, or what went wrong (exit status 1)
  */
@@ -8,6 +9,7 @@
 #include <modbus.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 #include <time.h>
 
 static double seconds(void) {
@@ -28,7 +30,9 @@ int main(int argc, char **argv) {
     }
     int function = atoi(argv[3]), address = atoi(argv[4]), count = atoi(argv[5]);
     long reads = atol(argv[6]);
-    modbus_t *client = modbus_new_tcp_pi(argv[1], argv[2]);
+    int serial = strchr(argv[1], '/') != NULL;
+    modbus_t *client = serial ? modbus_new_rtu(argv[1], 9600, 'N', 8, 1) : modbus_new_tcp_pi(argv[1], argv[2]);
+    if (serial) modbus_set_slave(client, atoi(argv[2]));
     modbus_set_response_timeout(client, 10, 0);
     if (modbus_connect(client) != 0) return fail("connect");
 

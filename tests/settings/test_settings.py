@@ -63,6 +63,12 @@ def test_a_right_file_is_settings_with_its_paths_ready(write: Write, tmp_path: P
         ({"plc": {"port": 70000}}, "plc.port: 70000: allowed: a whole number from 0 to 65535"),
         ({"plc": {"allow": ["10.0.0.0/33"]}}, "plc.allow[0]: '10.0.0.0/33': allowed: an address or a network"),
         ({"plc": {"unit_ids": [256]}}, "plc.unit_ids[0]: 256: allowed: a whole number from 0 to 255"),
+        ({"plc": {"allow_write": ["x"]}}, "plc.allow_write[0]: 'x': allowed: an address or a network"),
+        ({"plc": {"serial": {"port": "x", "baud": 7}}}, "plc.serial.baud: 7: allowed: one of: 1200, 2400"),
+        (
+            {"plc": {"tls": {"certificate": "none.pem", "key": "none.key", "client_ca": "none.pem"}}},
+            "plc.tls.certificate: 'none.pem': No such file or directory; allowed: give a file",
+        ),
         ({"plc": {"word_order": "big"}}, "plc.word_order: 'big': allowed: one of: high_first, low_first"),
         ({"camera": None}, "camera: missing: required; allowed: "),
         (
