@@ -7,6 +7,7 @@ enum { SHAPE = 6 };
 struct Rules {      /* how grey values become light, what is clipped, and when a fit has settled; see fit.py */
     double black, gamma, clipped, full, level, read_dn, shot_per_dn, pattern;
     double threshold, least_radius, most_radius, tangled_px, damping, settled_px, held_share, free_share, steep_share;
+    double scatter_share, sharper;
     i64 bloom_rows, bloom_columns, rounds;
 };
 
@@ -99,7 +100,7 @@ static void linearise(const Work *w, i64 i, const double *theta, const i64 *cent
 }
 
 /* Normal matrix (9, 9) and gradient of one window, with the prior. */
-static void normal_equations(const Work *w, i64 i, const double *t, const double *expected, const double *prior,
+static void normal_equations(const Work *w, const Rules *u, i64 i, const double *t, const double *expected, const double *prior,
                              double *matrix, double *gradient) {
     memset(matrix, 0, PARAMETERS * PARAMETERS * sizeof *matrix);
     memset(gradient, 0, PARAMETERS * sizeof *gradient);
@@ -115,8 +116,9 @@ static void normal_equations(const Work *w, i64 i, const double *t, const double
     }
     for (int a = 0; a < PARAMETERS; a++) {
         for (int b = 0; b < a; b++) matrix[b * PARAMETERS + a] = matrix[a * PARAMETERS + b];
-        matrix[a * PARAMETERS + a] += prior[a] + 1e-9 * matrix[a * PARAMETERS + a] + 1e-12;
-        gradient[a] -= prior[a] * (t[a] - expected[a]);
+        double hold = prior[a] * ((a == SXX || a == SYY) && t[a] < expected[a] ? u->sharper : 1);
+        matrix[a * PARAMETERS + a] += hold + 1e-9 * matrix[a * PARAMETERS + a] + 1e-12;
+        gradient[a] -= hold * (t[a] - expected[a]);
     }
 }
 
@@ -198,22 +200,42 @@ static double apply(double *t, const double *step) {
     return fmax(fabs(step[X]), fabs(step[Y]));
 }
 
-static int ascending(const void *a, const void *b) {
-    double x = *(const double *)a, y = *(const double *)b;
+typedef struct { double value, weight; } Weighed;
+
+static int by_value(const void *a, const void *b) {
+    double x = ((const Weighed *)a)->value, y = ((const Weighed *)b)->value;
     return (x > y) - (x < y);
 }
 
-/* Expect of the spots that are not typical the median blur of those that are, as it stands. */
-static void expect_usual_blur(i64 n, const double *theta, const Given *spots, double *expected, double *room) {
+static double weighed_median(i64 n, Weighed *sample) {
+    double half = 0, sum = 0;
+    i64 k = 0;
+    for (i64 i = 0; i < n; i++) half += sample[i].weight / 2;
+    qsort(sample, (size_t)n, sizeof *sample, by_value);
+    while (k < n - 1 && (sum += sample[k].weight) < half) k++;
+    return sample[k].value;
+}
+
+/* Expect of every spot the blur that the frame shows: the median of all that tell, each by how well it knows its own
+ * (`known`, variance; infinite for one that must not tell). How far it may be from that is a share of it. */
+static void expect_usual_blur(const Rules *u, i64 n, const double *theta, const double *known, const Given *spots,
+                              double *expected, double *prior, Weighed *sample) {
+    double usual[3];
     for (int a = SXX; a <= SYY; a++) {
         i64 m = 0;
-        for (i64 i = 0; i < n; i++)
-            if (spots[i].typical) room[m++] = theta[i * PARAMETERS + a];
+        for (i64 i = 0; i < n; i++) {
+            const double *t = theta + i * PARAMETERS;
+            double scatter = u->scatter_share * (t[SXX] + t[SYY]) / 2;
+            if (isfinite(known[i])) sample[m++] = (Weighed){t[a], 1 / (known[i] + scatter * scatter)};
+        }
         if (!m) return;
-        qsort(room, (size_t)m, sizeof *room, ascending);
-        double middle = 0.5 * (room[(m - 1) / 2] + room[m / 2]);
-        for (i64 i = 0; i < n; i++)
-            if (!spots[i].typical) expected[i * PARAMETERS + a] = middle;
+        usual[a - SXX] = weighed_median(m, sample);
+    }
+    double size = (usual[0] + usual[2]) / 2;
+    for (i64 i = 0; i < n; i++) {
+        double spread = (spots[i].is_free ? u->free_share : u->held_share) * size;
+        for (int a = SXX; a <= SYY; a++)
+            expected[i * PARAMETERS + a] = usual[a - SXX], prior[i * PARAMETERS + a] = 1 / (spread * spread);
     }
 }
 
@@ -236,8 +258,8 @@ static double window_radius(const Rules *u, const Given *spot) {
     return fmin(fmax(ceil(sqrt(spot->area / PI)) + 2, u->least_radius), u->most_radius);
 }
 
-static void set_prior(const Rules *u, const double *start, int typical, double *prior) {
-    double spread = (typical ? u->free_share : u->held_share) * start[SXX];
+static void set_prior(const Rules *u, const double *start, int is_free, double *prior) {
+    double spread = (is_free ? u->free_share : u->held_share) * start[SXX];
     double steep = u->steep_share * exp(fmin(start[LOG_PEAK], 6)) + 2;
     memset(prior, 0, PARAMETERS * sizeof *prior);
     for (int a = SXX; a <= SYY; a++) prior[a] = 1 / (spread * spread);
@@ -259,16 +281,23 @@ static void find_neighbours(Work *w, const Rules *u, double reach_px, const i64 
 
 /* One Gauss-Newton round over all spots; returns the largest move. */
 static double fit_round(const Work *w, const Rules *u, const i64 *centre, const i64 *tangle, const double *expected,
-                        const double *prior, double *theta, double *normal, double *gradient, double *step, i64 *members) {
+                        const double *prior, const Given *spots, double *theta, double *normal, double *gradient, double *step,
+                        double *known, i64 *members) {
     const i64 Q = PARAMETERS, QQ = PARAMETERS * PARAMETERS;
     double most = 0;
+    int blooms = u->bloom_rows || u->bloom_columns;
     for (i64 i = 0; i < w->n; i++) {
-        double a[PARAMETERS * PARAMETERS];
+        double a[PARAMETERS * PARAMETERS], right[PARAMETERS * 2] = {0};
         linearise(w, i, theta, centre);
-        normal_equations(w, i, theta + i * Q, expected + i * Q, prior + i * Q, normal + i * QQ, gradient + i * Q);
+        normal_equations(w, u, i, theta + i * Q, expected + i * Q, prior + i * Q, normal + i * QQ, gradient + i * Q);
         memcpy(a, normal + i * QQ, sizeof a);
-        memcpy(step + i * Q, gradient + i * Q, PARAMETERS * sizeof *step);
-        if (!kernel_solve(PARAMETERS, a, 1, step + i * Q)) memset(step + i * Q, 0, PARAMETERS * sizeof *step);
+        for (int x = 0; x < PARAMETERS; x++) right[2 * x] = gradient[i * Q + x];
+        right[2 * SXX + 1] = 0.5, right[2 * SYY + 1] = 0.5;
+        int fine = kernel_solve(PARAMETERS, a, 2, right);
+        for (int x = 0; x < PARAMETERS; x++) step[i * Q + x] = fine ? right[2 * x] : 0;
+        double variance = (right[2 * SXX + 1] + right[2 * SYY + 1]) / 2, own = 1 / variance - prior[i * Q + SXX];
+        int tells = spots[i].tells_blur && !(blooms && spots[i].clipped > 0);
+        known[i] = fine && tells && own > 0 ? 1 / own : INFINITY;
     }
     for (i64 i = 0; i < w->n; i++) {
         i64 size = 0;
@@ -312,7 +341,7 @@ i64 kernel_fit(const Image *im, const Rules *u, i64 n, const Given *spots, doubl
     double widest = u->least_radius;
     for (i64 i = 0; i < n; i++) widest = fmax(widest, window_radius(u, spots + i));
     i64 span = (i64)widest, p = 0, most_p = (2 * span + 1) * (2 * span + 1), rounds = -1;
-    i64 doubles = 2 * most_p + n * most_p * (3 + Q) + n * Q * (Q + 5) + n;
+    i64 doubles = 2 * most_p + n * most_p * (3 + Q) + n * Q * (Q + 5) + 3 * n;
     double *memory = malloc((size_t)doubles * sizeof *memory), *pool = memory;
     i64 *index = malloc((size_t)(n * n + 5 * n) * sizeof *index);
     uint8_t *clipped = malloc((size_t)(n * most_p));
@@ -327,20 +356,21 @@ i64 kernel_fit(const Image *im, const Rules *u, i64 n, const Given *spots, doubl
         w.light = take(&pool, n * p), w.weight = take(&pool, n * p), w.residual = take(&pool, n * p);
         w.derivative = take(&pool, n * p * Q);
         double *normal = take(&pool, n * Q * Q), *gradient = take(&pool, n * Q), *step = take(&pool, n * Q);
-        double *expected = take(&pool, n * Q), *prior = take(&pool, n * Q), *theta = take(&pool, n * Q), *room = take(&pool, n);
+        double *expected = take(&pool, n * Q), *prior = take(&pool, n * Q), *theta = take(&pool, n * Q), *known = take(&pool, n);
+        Weighed *sample = (Weighed *)take(&pool, 2 * n);
         for (i64 i = 0; i < n; i++) {
             const Given *spot = spots + i;
             centre[2 * i] = (i64)rint(spot->x), centre[2 * i + 1] = (i64)rint(spot->y);
             guess(im, u, spot, centre + 2 * i, theta + i * Q);
             cut(im, u, &w, i, centre + 2 * i, window_radius(u, spot));
-            set_prior(u, theta + i * Q, spots[i].typical, prior + i * Q);
+            set_prior(u, theta + i * Q, spots[i].is_free, prior + i * Q);
             found[i * FOUND + FOUND_GROUND] = theta[i * Q + BACKGROUND];
         }
         find_neighbours(&w, u, 2 * widest, centre, tangle);
         memcpy(expected, theta, (size_t)(n * Q) * sizeof *theta);
         for (rounds = 0; rounds < u->rounds; rounds++) {
-            if (rounds) expect_usual_blur(n, theta, spots, expected, room);
-            double moved = fit_round(&w, u, centre, tangle, expected, prior, theta, normal, gradient, step, members);
+            if (rounds) expect_usual_blur(u, n, theta, known, spots, expected, prior, sample);
+            double moved = fit_round(&w, u, centre, tangle, expected, prior, spots, theta, normal, gradient, step, known, members);
             if (moved < u->settled_px) break;
         }
         for (i64 i = 0; i < n; i++) report(&w, i, centre + 2 * i, theta + i * Q, normal + i * Q * Q, found + i * FOUND);

@@ -4,7 +4,7 @@
 typedef struct {      /* what spots are flagged by, the flags' bits, and what is believed of a fit; see highlights.py */
     double min_area_px, max_area_px, lost_px, lost_variance, systematic_variance;
     double flux_sigma, clipped_flux_sigma, guessed_flux_sigma;
-    i64 saturated, touching, too_small, too_large, at_edge, hot, never_typical, not_typical;
+    i64 saturated, touching, too_small, too_large, at_edge, hot, unsure_flux, held;
 } Standards;
 
 typedef struct {      /* the panel's grey value at tile centres */
@@ -24,18 +24,15 @@ static int prepare(const Image *im, const Ground *ground, const Standards *s, i6
     double *crowd = calloc((size_t)components + 1, sizeof *crowd);
     if (!crowd) return -1;
     for (i64 i = 0; i < n; i++) crowd[(i64)table[i * COLUMNS + COMPONENT]]++;
-    int some = 0, known = 0;
+    int known = 0;
     for (i64 i = 0; i < n; i++) {
-    const double *t = table + i * COLUMNS;
+        const double *t = table + i * COLUMNS;
         double x = t[CENTRE_X], y = t[CENTRE_Y], sharing = crowd[(i64)t[COMPONENT]];
         flags[i] = flags_of(s, t, sharing);
         double level = background_at(im->height, im->width, ground->rows, ground->columns, ground->tiles, rint(y), rint(x));
-        given[i] = (Given){level, t[COMPONENT_PX] / sharing, t[SATURATED_PX], t[NARROW_PX], x, y, !(flags[i] & s->not_typical)};
-        some |= given[i].typical;
-    }
-    for (i64 i = 0; i < n; i++) {      /* where all touch, those that touch have to do */
-        if (!some) given[i].typical = !(flags[i] & s->never_typical);
-        known |= given[i].typical;
+        given[i] = (Given){level, t[COMPONENT_PX] / sharing, t[SATURATED_PX], t[NARROW_PX], x, y, !(flags[i] & s->held),
+                           !(flags[i] & s->hot)};
+        known |= !(flags[i] & s->unsure_flux);
     }
     free(crowd);
     return known;
@@ -45,7 +42,8 @@ typedef struct {      /* centres (n, 2), covariance (n, 4), flux (n) and the dev
     double *xy, *covariance, *flux, *flux_sigma;
 } Believed;
 
-/* What a fit is taken to say: where it ran away, the plain centre, known badly. The flux of a clipped spot hangs on its
+/* What a fit is taken to say: where it ran away, and of a hot pixel, the plain centre, known badly.
+ * The flux of a clipped spot hangs on its
  * blur: in a frame that shows none unclipped it is little more than a guess. */
 static void believe(const Standards *s, int blur_known, const double *t, const double *f, i64 i, const Believed *b) {
     double *xy = b->xy + 2 * i, *c = b->covariance + 4 * i, scale = f[FOUND_CHI2] <= 1 ? 1 : f[FOUND_CHI2];
@@ -55,7 +53,7 @@ static void believe(const Standards *s, int blur_known, const double *t, const d
     c[3] = f[FOUND_VARIANCE_Y] * scale + s->systematic_variance;
     xy[0] = f[FOUND_X], xy[1] = f[FOUND_Y], b->flux[i] = f[FOUND_FLUX];
     b->flux_sigma[i] = t[SATURATED_PX] > 0 ? (blur_known ? s->clipped_flux_sigma : s->guessed_flux_sigma) : s->flux_sigma;
-    int fine = away < s->lost_px && isfinite(xy[0] + xy[1]) && b->flux[i] > 0 && isfinite(b->flux[i] + c[0] + c[1] + c[3]);
+    int fine = t[IS_HOT] == 0 && away < s->lost_px && isfinite(xy[0] + xy[1]) && b->flux[i] > 0 && isfinite(b->flux[i] + c[0] + c[1] + c[3]);
     if (fine) return;
     xy[0] = t[CENTRE_X], xy[1] = t[CENTRE_Y];
     c[0] = c[3] = s->lost_variance, c[1] = c[2] = 0;

@@ -36,6 +36,12 @@ POOR_CHI2, POOR_RATIO, HIDDEN_GAIN, MOST_HIDDEN = 25.0, 2.0, 0.5, 2
 """A cluster's fit is poor past this chi2 and this multiple of the frame's best; an added spot must halve it."""
 FLUX_STARTS = (0.0, 1.5)
 """First guesses of log flux, over what the clipped pixels hold: of a spot far over full scale most charge is lost."""
+LENS_QUANTILE = 0.25
+"""Of the lone spots' blurs this quantile is the lens': halos make the brightest ones wider."""
+HIDDEN_PLACES = 3
+"""So many places are tried for each added spot."""
+BRIGHT_SHARE = 0.5
+"""No spot hides in pixels under this share of full scale: what is too much there is a brighter one's halo."""
 MOST_SPOTS, MOST_PIXELS = 12, 6000
 """Larger tangles are left as the plain fit found them."""
 ROUNDS = 30
@@ -117,7 +123,7 @@ def refine(image: Image, lit: Detected, spots: Spots, fitted: Fitted, response: 
     alone = [s for s in first if len(s.cluster.members) == 1]
     kept, sigma = (float(np.median([s.kept for s in alone])), SAME_KEPT_SIGMA) if alone else (KEPT, KEPT_SIGMA)
     if len(alone) >= 3:
-        blur2 = float(np.median([s.blur_px2 for s in alone]))
+        blur2 = float(np.quantile([s.blur_px2 for s in alone], LENS_QUANTILE))
     least = min((s.chi2 for s in first), default=0.0)
     solved = []
     for found in first:
@@ -135,20 +141,35 @@ def _with_hidden(
     for _ in range(MOST_HIDDEN):
         if found.chi2 <= POOR_CHI2 + POOR_RATIO * least or len(found.cluster.members) == MOST_SPOTS:
             break
-        c = found.cluster
-        row, column = np.unravel_index(_smooth(found.deviation).argmax(), c.light.shape)
-        place = np.array([column, row], np.float64)
-        crowd = spots.with_more(c.members[:1], (place + c.corner)[None])
-        shares = found.theta[: 3 * len(c.members)].reshape(-1, 3)
-        start = np.concatenate(
-            [found.theta[: 3 * len(c.members)], place, [shares[:, 2].min() - 0.7], found.theta[-5:-2]]
-        )
-        wider = replace(c, members=np.append(c.members, len(crowd) - 1), start=start)
-        trial = _solve(wider, crowd, response, blur2, kept, sigma)
+        trials = [_with_one_at(place, found, spots, response, blur2, kept, sigma) for place in _excess(found, response)]
+        trial, crowd = min(trials, key=lambda t: t[0].chi2)
         if trial.chi2 > HIDDEN_GAIN * found.chi2:
             break
         found, spots = trial, crowd
     return found, spots
+
+
+def _with_one_at(
+    place: FloatArray, found: Solved, spots: Spots, response: Response, blur2: float, kept: float, sigma: float
+) -> tuple[Solved, Spots]:
+    """The cluster with one spot more, which begins at ``place`` (x, y) of the patch."""
+    c = found.cluster
+    own = found.theta[: 3 * len(c.members)]
+    crowd = spots.with_more(c.members[:1], (place + c.corner)[None])
+    start = np.concatenate([own, place, [own[2::3].min() - 0.7], found.theta[-5:-2]])
+    wider = replace(c, members=np.append(c.members, len(crowd) - 1), start=start)
+    return _solve(wider, crowd, response, blur2, kept, sigma), crowd
+
+
+def _excess(found: Solved, response: Response) -> FloatArray:
+    """The bright places (k, 2), x and y, of a cluster's patch where there is most light too much, largest first."""
+    smooth, places = _smooth(found.deviation), []
+    smooth[found.cluster.light < BRIGHT_SHARE * response.sensor.saturation_dn] = -np.inf
+    for _ in range(HIDDEN_PLACES):
+        row, column = np.unravel_index(smooth.argmax(), smooth.shape)
+        places.append((column, row))
+        smooth[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3] = -np.inf
+    return np.array(places, np.float64)
 
 
 def _smooth(deviation: FloatArray) -> FloatArray:

@@ -4,9 +4,9 @@ A seed's highlight is 0.04 to 0.2 px wide for a 1 mm seed, so what the sensor sh
 Gaussian (J. Anderson, I. King, PASP 112, 2000, say why a fitted profile beats a centroid on under-sampled spots).
 A clipped pixel asks only that the model be at least as bright: the flanks carry the position. Where charge blooms,
 clipped pixels and the ends of their runs tell nothing. Neighbours are subtracted with their own latest model, and
-spots that touch are solved together. The blur of spots that are not typical, the clipped ones above all, is held near
-that of those that are: flanks tell position well but blur badly. The loops are in `_fit.c`; this file sets what they
-go by.
+spots that touch are solved together. The blur of a spot is held near what the frame's spots show, each by how well it
+knows its own: flanks tell position well but blur badly, and faint spots both. The loops are in `_fit.c`; this file sets
+what they go by.
 """
 
 from __future__ import annotations
@@ -27,8 +27,12 @@ WINDOW_RADIUS_PX = (4.0, 12.0)
 """Radius of the fit's windows, least and most: the spot and two pixels of background around it."""
 ROUNDS, SETTLED_PX = 40, 0.002
 """Gauss-Newton rounds at most, and the move under which a fit has settled; isolated spots take four or five."""
-HELD_SHARE, FREE_SHARE = 0.1, 1.0
-"""How far the blur's variance may be from the usual, as a share of it: clipped or touching spots, typical ones."""
+HELD_SHARE, FREE_SHARE = 0.1, 0.15
+"""How far the blur's variance may be from the usual, as a share of it: clipped or touching spots, free ones."""
+SCATTER_SHARE = 0.1
+"""How much the blur's variance scatters among the spots of a frame, as a share of it: no spot tells it better."""
+SHARPER = 30.0
+"""How much more a spot is held that would be sharper than the frame's usual: no spot is sharper than the lens."""
 STEEP_SHARE = 0.1
 """A background slope of this share of the peak a pixel is already unlikely."""
 TANGLED_PX, DAMPING = 6.0, 0.1
@@ -93,9 +97,9 @@ class Response:
         """What the fit goes by: `Rules` of `_fit.c`. ``bloom``: from a clipped pixel to where its charge runs."""
         light = (self.black_dn, self.sensor.gamma, self.clipped_dn, self.sensor.saturation_dn, self.level)
         noise = (self.read_dn, self.shot_per_dn, PATTERN_SHARE)
-        shares = (HELD_SHARE, FREE_SHARE, STEEP_SHARE)
+        shares = (HELD_SHARE, FREE_SHARE, STEEP_SHARE, SCATTER_SHARE, SHARPER)
         windows = (threshold_dn, *WINDOW_RADIUS_PX, TANGLED_PX, DAMPING, SETTLED_PX)
-        return struct.pack("17d3q", *light, *noise, *windows, *shares, *bloom, ROUNDS)
+        return struct.pack("19d3q", *light, *noise, *windows, *shares, *bloom, ROUNDS)
 
 
 @dataclass(frozen=True)

@@ -25,16 +25,17 @@ HOT_SHARE = 0.25
 """A lens spreads every spot: four neighbours together under this share of the peak make it a hot pixel."""
 SYSTEMATIC_PX2 = 0.006**2
 """Variance along each axis of what a perfect fit still misses: the profile is not quite a Gaussian (rendered spots)."""
-NEVER_TYPICAL = Flag.SATURATED | Flag.HOT_PIXEL
-NOT_TYPICAL = NEVER_TYPICAL | Flag.TOUCHING
-"""Spots with one of these flags do not tell the frame's usual blur; touching ones do where there are no others."""
+UNSURE_FLUX = Flag.SATURATED | Flag.HOT_PIXEL
+"""Where every spot has one of these flags, the frame does not show how much light a blur of its width holds."""
+HELD = UNSURE_FLUX | Flag.TOUCHING
+"""A spot with one of these flags is held to the frame's usual blur."""
 BLOOM_SIGMA_PX = 0.03
 """Standard deviation of a bloomed spot's charge centroid (found on rendered spots)."""
 FLUX_SIGMA, CLIPPED_FLUX_SIGMA, BLOOM_FLUX_SIGMA = 0.1, 0.25, 1.2
 """Standard deviation of log flux: fitted whole, fitted on its flanks, and summed where charge was lost."""
-HIDDEN_CHI2, HIDDEN_SIGMA, HIDDEN_GAIN = 12.0, 8.0, 0.4
+HIDDEN_CHI2, HIDDEN_SIGMA, HIDDEN_GAIN = 12.0, 8.0, 0.5
 """A second spot is tried where a fit is this poor and one pixel off by so much; kept if chi2 falls to this share."""
-HIDDEN_PEAK_SHARE, LEAST_APART_PX = 0.02, 1.2
+HIDDEN_PEAK_SHARE, LEAST_APART_PX = 0.005, 1.2
 """A second spot fainter than this share of the first, or nearer to it, cannot be told from an unsharp one."""
 LOST_PX = 2.5
 """A fit that ends further from where it started is not believed."""
@@ -44,7 +45,7 @@ FLAG_BITS = tuple(
     int(flag)
     for flag in (
         *(Flag.SATURATED, Flag.TOUCHING, Flag.TOO_SMALL, Flag.TOO_LARGE, Flag.AT_EDGE, Flag.HOT_PIXEL),
-        *(NEVER_TYPICAL, NOT_TYPICAL),
+        *(UNSURE_FLUX, HELD),
     )
 )
 """The bits that `_measure.c` sets and asks for, as it takes them."""
@@ -155,11 +156,8 @@ def _measured(view: View, spots: Spots) -> Highlights:
     """Centres, their covariance, flux, peak, area and flags of all spots."""
     if len(spots) == 0:
         return none(view)
-    spots, measured = _with_hidden(view, spots, _measure(view, spots))
+    spots, measured, solved = _explained(view, spots)
     if any(spots.bloom):
-        crowd, solved = bloom.refine(view.pixels.image, view.lit, spots, Fitted(measured.found), view.response)
-        if crowd is not spots:
-            spots, measured = crowd, _measure(view, crowd)
         _place_bloomed(view, spots, measured, solved)
     return Highlights(
         xy_px=measured.xy_px,
@@ -176,6 +174,21 @@ def _measured(view: View, spots: Spots) -> Highlights:
         noise_dn=view.ground.noise_dn,
         full_scale_dn=view.response.sensor.saturation_dn,
     )
+
+
+def _explained(view: View, seen: Spots) -> tuple[Spots, kernel.Measured, list[bloom.Solved]]:
+    """The spots, with hidden ones, their fit, and the bloomed clusters: whichever explains the frame.
+
+    Plateaus drawn out along columns or rows are charge that ran over, or spots that touch: the better fit decides.
+    """
+    spots, measured = _with_hidden(view, replace(seen, bloom=(0, 0)))
+    if not any(seen.bloom):
+        return spots, measured, []
+    bloomed, fit = _with_hidden(view, seen)
+    crowd, solved = bloom.refine(view.pixels.image, view.lit, bloomed, Fitted(fit.found), view.response)
+    if not solved or max(s.chi2 for s in solved) > Fitted(measured.found).chi2[spots.clipped].max():
+        return spots, measured, []
+    return crowd, fit if crowd is bloomed else _measure(view, crowd), solved
 
 
 def _measure(view: View, spots: Spots) -> kernel.Measured:
@@ -196,8 +209,9 @@ def _standards(detection: Detection) -> bytes:
     return _STANDARDS.pack(*areas, LOST_PX, LOST_SIGMA_PX**2, SYSTEMATIC_PX2, *fluxes, *FLAG_BITS)
 
 
-def _with_hidden(view: View, spots: Spots, measured: kernel.Measured) -> tuple[Spots, kernel.Measured]:
-    """The spots with those that hid in poor fits, as far as each earns its place."""
+def _with_hidden(view: View, spots: Spots) -> tuple[Spots, kernel.Measured]:
+    """The spots, fitted, with those that hid in poor fits, as far as each earns its place."""
+    measured = _measure(view, spots)
     hosts = _hidden(spots, measured)
     if len(hosts) == 0:
         return spots, measured
