@@ -38,6 +38,7 @@ class Reason(enum.IntFlag):
     ZONE_LIMIT = 1 << 4
     UNPAIRED_LIMIT = 1 << 5
     UNMEASURED_SEED = 1 << 6
+    PANEL_INCOMPLETE = 1 << 7
     FRAME_UNREADABLE = 1 << 8
     FRAME_WRONG_SHAPE = 1 << 9
     FRAME_BLACK = 1 << 10
@@ -162,6 +163,8 @@ class Defect:
     """Residual of the pair's redundant equation over its uncertainty; None if the method has none."""
     sunk_bias_um: float | None = None
     """How much a seed sunk in the paint may read low; apart from ``height_sigma_um``; None if the method has none."""
+    place_sigma_mm: float | None = None
+    """Standard deviation of its place, of the larger of x and y; None if the method has none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,6 +202,51 @@ class PlcSide:
     command_result: int = 0
     control: tuple[int, ...] = ()
     """The control block's words as the PLC has written them; those missing are 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class PanelFrame:
+    """A frame's part in its panel: what it says, and how far the panel had moved since its first frame, mm."""
+
+    result: FrameResult
+    travel_mm: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class PanelFrames:
+    """The frames of one panel as they came. ``panel_id`` None: nobody gave one; ``missing`` has a sentence for each
+    thing that keeps the panel from having been seen whole."""
+
+    panel_id: int | None = None
+    frames: tuple[PanelFrame, ...] = ()
+    missing: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PanelSpot(Unpaired):
+    """A highlight that no frame of the panel explains; ``x_mm``, ``y_mm`` is where its ray meets the panel."""
+
+    x_mm: float = float("nan")
+    y_mm: float = float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class PanelResult:
+    """What the frames of a panel say together. Places are panel coordinates: those of the world, at the first frame."""
+
+    verdict: Verdict
+    reasons: Reason = Reason(0)
+    reasons_text: tuple[str, ...] = ()
+    defects: tuple[Defect, ...] = ()
+    unpaired: tuple[PanelSpot, ...] = ()
+    panel_id: int | None = None
+    """As the PLC gave it; None if it gave none."""
+    travels_mm: tuple[float, ...] = ()
+    """Of each frame, how far the panel had moved since its first one."""
+    area_m2: float = 0.0
+    """What was seen of the panel, square metres; 0 where it is not known."""
+    elapsed_us: float = 0.0
+    """Time the inspections of its frames took."""
 
 
 @dataclass(frozen=True, slots=True)

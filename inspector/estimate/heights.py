@@ -46,12 +46,13 @@ def _exact(spots: Highlights, pairs: HighlightPairs, calibration: Calibration) -
     with np.errstate(invalid="ignore"):  # a pair that no seed explains has no number, and FAILs for it
         sigma_um = um_a_radius * np.sqrt(seeds.covariance[:, 2, 2])
         residual = np.sqrt(seeds.chi2)
+        place_sigma_mm = np.sqrt(np.maximum(seeds.covariance[:, 0, 0], seeds.covariance[:, 1, 1]))
     height_um = um_a_radius * seeds.radius_mm
     sunk = _sunk(spots, pairs, seeds, calibration, height_um, sigma_um)
     field = field_sigma(calibration)
     if field is not None:
         sigma_um = np.hypot(sigma_um, field.at(spots.xy_px[d]) * height_um)
-    columns = (seeds.x_mm, seeds.y_mm, height_um, sigma_um, residual, pairs.flags | sunk)
+    columns = (seeds.x_mm, seeds.y_mm, height_um, sigma_um, residual, pairs.flags | sunk, place_sigma_mm)
     places = zip(spots.xy_px[d].tolist(), spots.xy_px[m].tolist(), strict=True)
     return [
         Defect(
@@ -64,8 +65,9 @@ def _exact(spots: Highlights, pairs: HighlightPairs, calibration: Calibration) -
             flags=Flag(flag | INCONSISTENT if residual > INCONSISTENT_SIGMA and not flag & SUNK else flag),
             residual_sigma=residual,
             sunk_bias_um=0.0 if flag & SUNK else SUNK_SHARE * height_um,
+            place_sigma_mm=place_sigma_mm,
         )
-        for x_mm, y_mm, height_um, sigma_um, residual, flag, (direct, mirror) in zip(
+        for x_mm, y_mm, height_um, sigma_um, residual, flag, place_sigma_mm, (direct, mirror) in zip(
             *(c.tolist() for c in columns), places, strict=True
         )
     ]

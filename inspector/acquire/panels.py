@@ -1,0 +1,203 @@
+"""Which frames make a panel, and how far it had moved in each. Pure: the caller gives the time, on one clock.
+
+Rules. A trigger that brought no frame, missed or failed, keeps its place: the panel's later frames stay where they are,
+a count counts it, and the panel has not been seen whole. A panel that is begun again before its end, whose end does not
+come, or that was begun while nobody looked, is ended all the same, and says what it misses: no panel goes silently.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from inspector.model import Frame, FrameResult, PanelFrame, PanelFrames
+from inspector.panel_settings import ByCount, ByInput, ByLength, ByPlcMarks, LineSpeed, PanelSettings
+
+Done = tuple[PanelFrames, ...]
+"""Panels that have ended, in their order."""
+
+
+NO_FRAME = "a trigger brought no frame"
+
+
+@dataclass(slots=True)
+class _Panel:
+    """The panel under way. ``first`` is the number of the trigger of its first place; None before there is one."""
+
+    panel_id: int | None
+    latest_s: float
+    first: int | None = None
+    first_taken_s: float = 0.0
+    frames: tuple[PanelFrame, ...] = ()
+    missing: tuple[str, ...] = ()
+
+    def misses(self, why: str) -> None:
+        """It has not been seen whole; the same is said once."""
+        if why not in self.missing:
+            self.missing += (why,)
+
+
+class Panels:
+    """Gathers frames into panels by ``settings``, where panels have several frames."""
+
+    def __init__(self, settings: PanelSettings) -> None:
+        self._settings, self._frames = settings, settings.frames
+        self._count = settings.frames.count if isinstance(settings.frames, ByCount) else None
+        self._panel: _Panel | None = None
+        self._trigger, self._missed = 0, 0
+        self._due: int | None = None
+        self._last_id: int | None = None
+        self._last_trigger = 0
+        self._off_since_s: float | None = None
+        self._looked = False
+
+    @property
+    def under_way(self) -> bool:
+        """Whether a panel has begun and not ended."""
+        return self._panel is not None
+
+    @property
+    def frames_so_far(self) -> int:
+        """Frames of the panel under way."""
+        return len(self._panel.frames) if self._panel else 0
+
+    @property
+    def wants_frame(self) -> bool:
+        """Whether a frame taken now is of a panel."""
+        match self._frames:
+            case ByPlcMarks():
+                return self._panel is not None
+            case ByInput():
+                return self._panel is not None and self._off_since_s is None
+        return True
+
+    def started(self, panel_id: int | None, now_s: float) -> Done:
+        """The PLC says that a panel begins."""
+        if not isinstance(self._frames, ByPlcMarks):
+            return ()
+        done = self.interrupted("the next panel began before its end")
+        self._begin(panel_id, now_s)
+        return done
+
+    def ended(self, panel_id: int | None) -> Done:
+        """The PLC says that the panel ends."""
+        if not isinstance(self._frames, ByPlcMarks):
+            return ()
+        if self._panel is None:
+            return (PanelFrames(panel_id, (), ("its end came without its start",)),)
+        return self._end()
+
+    def in_view(self, on: bool, now_s: float) -> Done:
+        """How the input stands that says whether a panel is in view."""
+        if not isinstance(self._frames, ByInput):
+            return ()
+        at_first, self._looked = not self._looked, True
+        if on:
+            self._off_since_s = None
+            if self._panel is None:
+                panel = self._begin(None, now_s)
+                if at_first:
+                    panel.misses("it was in view already when the station began to look")
+            return ()
+        if self._off_since_s is None:
+            self._off_since_s = now_s
+        over = now_s - self._off_since_s >= self._frames.debounce_s
+        return self._end() if over and self._panel else ()
+
+    def took(
+        self, frame: Frame, result: FrameResult | None, missed: int, now_s: float, panel_id: int | None = None
+    ) -> Done:
+        """A frame was taken; ``result`` None if it was not wanted. ``missed`` triggers in all; ``panel_id`` as the PLC
+        gave it for a panel that begins with this frame."""
+        done = self._passed_over(missed, frame.frame_id)
+        if result is None:
+            return done
+        if self._panel and isinstance(self._frames, ByLength) and self._panel.frames:
+            done += self._end() if self._travelled_mm(self._panel, frame) >= self._frames.length_mm else ()
+        panel = self._panel or self._begin(panel_id, now_s)
+        if panel.first is None:
+            panel.first = self._trigger
+        if not panel.frames:
+            panel.first_taken_s = frame.taken_at_s
+        travel_mm = self._travelled_mm(panel, frame)
+        if panel.frames and travel_mm < panel.frames[-1].travel_mm:
+            panel.misses("a frame's time lies before that of the one before it: the clock was set")
+        panel.frames += (PanelFrame(result, travel_mm),)
+        panel.latest_s = now_s
+        return done + self._full()
+
+    def failed(self, why: str, missed: int, now_s: float) -> Done:
+        """A cycle brought no frame that could be inspected, because of ``why``."""
+        done = self._passed_over(missed)
+        if self._panel is None and self._count:
+            self._begin(None, now_s)
+        if self._panel is None:
+            return done
+        self._panel.misses(f"a frame is missing: {why}")
+        return done + self._full()
+
+    def look(self, now_s: float) -> Done:
+        """Nothing has happened; a panel may have been waited for long enough."""
+        if self._panel is None or now_s - self._panel.latest_s < self._settings.timeout_s:
+            return ()
+        return self.interrupted(f"neither a frame nor its end came for {self._settings.timeout_s:g} s")
+
+    def interrupted(self, why: str) -> Done:
+        """The panel under way, if there is one, ends here; frames are counted anew."""
+        if self._panel is None:
+            return ()
+        self._panel.misses(why)
+        done, self._due = self._end(), None
+        return done
+
+    def _begin(self, panel_id: int | None, now_s: float) -> _Panel:
+        panel = self._panel = _Panel(panel_id, now_s)
+        if self._count:
+            # Triggers that brought no frame count: they do not shift the panels that follow.
+            panel.first = self._trigger - (0 if self._due is None else (self._trigger - self._due) % self._count)
+            if panel.first < self._trigger:
+                panel.misses(NO_FRAME)
+        return panel
+
+    def _end(self) -> Done:
+        panel, self._panel = self._panel, None
+        assert panel is not None
+        if self._count and panel.first is not None:
+            self._due = panel.first + self._count
+        return (PanelFrames(panel.panel_id, panel.frames, panel.missing),)
+
+    def _full(self) -> Done:
+        """Ends a panel whose last place this trigger has taken."""
+        panel = self._panel
+        full = self._count and panel and panel.first is not None and self._trigger >= panel.first + self._count - 1
+        return self._end() if full else ()
+
+    def _passed_over(self, missed: int, frame_id: int | None = None) -> Done:
+        """Numbers this cycle's trigger; those between it and the last one brought no frame, and the panel misses them.
+
+        They are those counted, or, where each frame is one trigger's, those that the frames' numbers show.
+        """
+        lost = missed - self._missed
+        if frame_id is not None and self._last_id is not None and self._mm_per_frame is not None:
+            lost = max(lost, frame_id - self._last_id - 1 - (self._trigger - self._last_trigger))
+        lost, self._missed = max(lost, 0), missed
+        self._trigger += lost + 1
+        if frame_id is not None:
+            self._last_id, self._last_trigger = frame_id, self._trigger
+        if self._panel is None or not lost:
+            return ()
+        self._panel.misses(NO_FRAME)
+        first = self._panel.first
+        return self._end() if self._count and first is not None and self._trigger >= first + self._count else ()
+
+    @property
+    def _mm_per_frame(self) -> float | None:
+        """How far the panel moves from trigger to trigger; None where time says it."""
+        travel = self._settings.travel
+        return None if travel is None or isinstance(travel.by, LineSpeed) else travel.by.mm_per_frame
+
+    def _travelled_mm(self, panel: _Panel, frame: Frame) -> float:
+        """How far the panel has moved since its first place, or its first frame where time says it."""
+        travel, per_frame = self._settings.travel, self._mm_per_frame
+        if travel is not None and isinstance(travel.by, LineSpeed):
+            return (frame.taken_at_s - panel.first_taken_s) * travel.by.mm_per_s
+        return 0.0 if per_frame is None or panel.first is None else (self._trigger - panel.first) * per_frame
