@@ -26,7 +26,6 @@ from firmware_bridge.settings import (
     SerialLink,
     TcpLink,
 )
-from firmware_bridge.wire.module_setup import Safety
 
 if TYPE_CHECKING:  # loaded for stations with such a camera alone
     from firmware_bridge.drivers.genicam_camera import GenicamCamera
@@ -87,7 +86,7 @@ def build_module(settings: ModuleSettings, channels: Sequence[int] | None = None
         settings.profile_row,
         build_master(settings),
         channels,
-        safety=Safety(settings.safe_v, settings.power_on_v, settings.watchdog_s),
+        safety=settings.safety,
         simulated=simulated,
     )
 

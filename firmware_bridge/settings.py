@@ -20,6 +20,7 @@ from pydantic import (
 
 from firmware_bridge.wire import lamp_curve
 from firmware_bridge.wire.ccd_dialects import DIALECTS, Dialect
+from firmware_bridge.wire.module_setup import Safety, most_requests
 from firmware_bridge.wire.profiles import PROFILES, Profile
 from firmware_bridge.wire.raw_frames import RawFormat
 
@@ -99,6 +100,16 @@ class ModuleSettings(Strict):
     def profile_row(self) -> Profile:
         """The profile's row of the table."""
         return PROFILES[self.profile]
+
+    @property
+    def safety(self) -> Safety:
+        """What the module's outputs must do when the station is gone."""
+        return Safety(self.safe_v, self.power_on_v, self.watchdog_s)
+
+    @property
+    def opening_s(self) -> float:
+        """The longest that opening the module for one output may take, seconds: connecting, and every request."""
+        return (1 + most_requests(self.profile_row, [0], self.safety)) * self.deadline_s
 
     @field_validator("link")
     @classmethod
@@ -211,6 +222,11 @@ class ReplaySettings(Strict):
     """A frame must come within this time, seconds."""
 
     @property
+    def slowest_s(self) -> float:
+        """The longest that any one thing asked of it may take, seconds."""
+        return self.deadline_s
+
+    @property
     def recordings(self) -> tuple[Path, ...]:
         """What must be there before frames can be shown."""
         return self.paths
@@ -271,6 +287,10 @@ class RawFrames(_Frames):
         return RawFormat(self.width_px, self.height_px, self.bits, self.header)
 
 
+COMMANDS_IN_A_ROW = 3
+"""Commands that a camera may be given in one thing that is asked of it: opening, an exposure, or a frame."""
+
+
 class SerialCcdCameraSettings(Strict):
     """A CCD head that is set over a serial line; its frames come another way."""
 
@@ -308,6 +328,11 @@ class SerialCcdCameraSettings(Strict):
         """Shortest and longest exposure, microseconds."""
         row = self.dialect_row
         return self.exposure_min_us or row.exposure_min_us, self.exposure_max_us or row.exposure_max_us
+
+    @property
+    def slowest_s(self) -> float:
+        """The longest that any one thing asked of it may take, seconds: a frame, or a row of commands."""
+        return self.deadline_s + COMMANDS_IN_A_ROW * self.command_deadline_s
 
     @property
     def recordings(self) -> tuple[Path, ...]:
@@ -362,6 +387,11 @@ class GenicamCameraSettings(Strict):
     """Every command is answered within this time, or the camera is gone, seconds."""
     deadline_s: PositiveFloat = Field(5.0, ge=3, le=3600)
     """A frame must come within this time, seconds, and the camera must be found within it."""
+
+    @property
+    def slowest_s(self) -> float:
+        """The longest that any one thing asked of it may take, seconds: a frame, or a row of commands."""
+        return self.deadline_s + COMMANDS_IN_A_ROW * self.command_deadline_s
 
     @property
     def recordings(self) -> tuple[Path, ...]:

@@ -32,6 +32,11 @@ log = logging.getLogger(__name__)
 OUTAGE_CYCLE_S = 0.5
 """A free-running cycle without its devices comes round this often at least, so that what is shown stays true."""
 
+STALL_MARGIN_S = 1.5
+"""What a cycle may take beyond its devices' deadlines before the PLC is told that it has stalled."""
+LAMP_REQUESTS = 4
+"""Requests to the lamp's module around a frame: write and read back, read after the grab, and 0 V when that fails."""
+
 Inspection = Callable[[Frame], FrameResult]
 
 
@@ -218,6 +223,13 @@ class Cycle:
 
     def _with_devices(self, last: Snapshot) -> Snapshot:
         return replace(last, lamp_ok=self._lamp.works, camera_ok=self._camera.works, lamp_weak=self._weak)
+
+
+def longest_silence_s(settings: Settings) -> float:
+    """How long a cycle may be silent: the longest step around which it waits, opening the module or taking a frame."""
+    module = settings.module
+    frame_s = settings.camera.slowest_s + LAMP_REQUESTS * module.deadline_s
+    return max(frame_s, module.opening_s) + STALL_MARGIN_S
 
 
 def _retry(settings: Settings) -> Retry:

@@ -11,7 +11,7 @@ import logging
 import math
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from firmware_bridge.errors import BridgeError, NoTrigger
 from inspector import calibration_file, pace, recipe_choice, snapshots
 from inspector.acquire.trigger import Trigger
 from inspector.control import PlcControl
-from inspector.cycle import Cycle, Inspection
+from inspector.cycle import Cycle, Inspection, longest_silence_s
 from inspector.faults import Fault
 from inspector.handshake_table import Command
 from inspector.lifecycle import Event, after
@@ -40,10 +40,6 @@ BEAT_S = 0.25
 """While it waits, the cycle shows this often that it lives."""
 IDLE_CHECK_S = 2.0
 """While the station waits, lamp and module are looked at this often, so that what is shown stays true."""
-STALL_MARGIN_S = 1.5
-"""What a cycle may take beyond all its devices' deadlines before the PLC is told that it has stalled."""
-LAMP_REQUESTS = 4
-"""Requests to the lamp's module in a cycle: write and read back, read after the grab, and 0 V when that fails."""
 
 EXIT_STOPPED, EXIT_PORT_TAKEN, EXIT_SETTINGS_REFUSED = 0, 69, 78
 """Exit statuses, as sysexits.h names them: done, EX_UNAVAILABLE, EX_CONFIG (which no restart mends)."""
@@ -119,6 +115,11 @@ class Daemon:
         """The TCP port of the registers."""
         return self._server.port
 
+    @property
+    def stall_after_s(self) -> float:
+        """How long the cycle may be silent before the PLC is told, seconds."""
+        return self._server.stall_after_s
+
     def start(self) -> None:
         """Serve the registers, before anything else is done. Raises PlcServerError."""
         self._server.start()
@@ -142,7 +143,7 @@ class Daemon:
         settings = self._settings
         devices = self._build(settings.camera, settings.module, settings.lamp)
         inspect = self._make_inspection(settings)
-        self._cycle = Cycle(settings, devices, inspect, waiting=self._signals.interruptible)
+        self._cycle = Cycle(settings, devices, inspect, waiting=self._waiting)
         at_end.callback(self._cycle.close)
         at_end.callback(self._say_farewell)
         self._trigger = self._triggered()
@@ -208,6 +209,14 @@ class Daemon:
         """How long the module may go unasked while the station waits: well under its watchdog's time."""
         watchdog_s = self._settings.module.watchdog_s or math.inf
         return min(IDLE_CHECK_S, watchdog_s / 3)
+
+    @contextlib.contextmanager
+    def _waiting(self) -> Iterator[None]:
+        """Around what a device may take long for, within a deadline of its own: the cycle lives before and after."""
+        self._beat()
+        with self._signals.interruptible():
+            yield
+        self._beat()
 
     def _beat(self) -> None:
         self._server.beat()
@@ -332,9 +341,11 @@ class Daemon:
         console.say(console.how_to_poll(new.plc.host, self.port))
 
     def _serve(self) -> None:
-        """Registers are shown by this server, as the settings say."""
+        """Registers are shown by this server, as the settings say, and the cycle may be silent as they let it."""
         plc = self._settings.plc
         self._control.serve(self._server, plc.word_order, plc.buffer_results)
+        self._server.stall_after_s = longest_silence_s(self._settings)
+        self._notifier.allow_silence(self.stall_after_s)
 
     def _described(self, snapshot: Snapshot, *events: Event) -> Snapshot:
         """The snapshot with what it says of the settings brought up to date."""
@@ -360,9 +371,11 @@ class Daemon:
 
 
 def _server(settings: Settings, control: PlcControl) -> PlcServer:
-    longest_s = settings.camera.deadline_s + LAMP_REQUESTS * settings.module.deadline_s
     return PlcServer(
-        stall_after_s=longest_s + STALL_MARGIN_S, on_control=control.write, name=settings.station, **settings.plc.served
+        stall_after_s=longest_silence_s(settings),
+        on_control=control.write,
+        name=settings.station,
+        **settings.plc.served,
     )
 
 

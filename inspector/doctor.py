@@ -204,7 +204,7 @@ def _tried(part: str, tried: str, attempt: Callable[[], object], said: Callable[
 
 def _plc_port(settings: Settings) -> Finding:
     plc = settings.plc
-    server = PlcServer(stall_after_s=1.0, **plc.model_dump())
+    server = PlcServer(stall_after_s=1.0, **plc.served)
     tried = f"listen on {plc.host}:{plc.port}"
     try:
         server.start()

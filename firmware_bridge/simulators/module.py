@@ -21,6 +21,7 @@ def run(
     unit: int,
     *,
     symlink: Path | None = None,
+    tcp_port: int | None = None,
     fault: WireFault = WireFault.NONE,
     fault_after: int = 0,
     fault_count: int | None = None,
@@ -31,20 +32,21 @@ def run(
 ) -> None:
     """Print the address and serve until SIGTERM or SIGINT, or (``with_parent``) until standard input is closed.
 
-    A profile that has no serial line is served over TCP. Raises FileExistsError if ``symlink`` is a file's name,
-    ValueError for what this profile has not.
+    With ``tcp_port``, or if its profile has no serial line, it is served over TCP. Raises FileExistsError if
+    ``symlink`` is a file's name, OSError if the port is taken, ValueError for what does not go together.
     """
     row = PROFILES[profile]
+    tcp = tcp_port is not None or not row.has_serial
     for option, asked in (("--symlink", symlink), ("--ascii", ascii)):
-        if asked and not row.has_serial:
-            raise ValueError(f"{option}: {profile} has no serial line; it is served over TCP")
+        if asked and tcp:
+            raise ValueError(f"{option}: {profile} has no serial line here; it is served over TCP")
     if tripped and row.watchdog is None:
         raise ValueError(f"--tripped: {profile} has no watchdog")
     module = SimulatedModule(row, time.monotonic)
     module.ascii, module.stuck = ascii, stuck
     if tripped:
         module.trip()
-    server = ModuleServer(module, unit, tcp=not row.has_serial, symlink=symlink)
+    server = ModuleServer(module, unit, tcp=tcp, tcp_port=tcp_port or 0, symlink=symlink)
     server.fault, server.fault_after, server.fault_count = fault, fault_after, fault_count
     server_run(server, with_parent=with_parent)
 
@@ -57,6 +59,7 @@ def main(arguments: Sequence[str] | None = None, program: str | None = None) -> 
     parser.add_argument("--profile", choices=list(PROFILES), required=True, help="which module it is")
     parser.add_argument("--unit", type=int, choices=range(1, 248), metavar="1-247", default=1, help="Modbus unit id")
     parser.add_argument("--symlink", type=Path, metavar="PATH", help="name to give the pseudo-terminal")
+    parser.add_argument("--tcp-port", type=int, metavar="N", help="serve Modbus TCP here, not a terminal; 0: any free")
     faults = [fault.value for fault in WireFault]
     parser.add_argument("--fault", choices=faults, default=WireFault.NONE.value, help="what goes wrong with answers")
     parser.add_argument("--fault-after", type=int, metavar="N", default=0, help="only after so many right answers")

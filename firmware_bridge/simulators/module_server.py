@@ -25,6 +25,7 @@ class WireFault(enum.StrEnum):
     BAD_CRC = "bad-crc"
     WRONG_UNIT = "wrong-unit"
     TRUNCATED = "truncated"
+    TWICE = "twice"
 
 
 def spoil(fault: WireFault, answer: bytes, unit_at: int) -> bytes:
@@ -43,19 +44,23 @@ def spoil(fault: WireFault, answer: bytes, unit_at: int) -> bytes:
             return _for_another_unit(answer, unit_at)
         case WireFault.TRUNCATED:
             return answer[: len(answer) // 2]
+        case WireFault.TWICE:
+            return answer + answer
         case _:
             return answer
 
 
 class ModuleServer(Server):
-    """Serves one module on a pseudo-terminal (``tcp`` False) or on a free TCP port of this machine.
+    """Serves one module on a pseudo-terminal (``tcp`` False) or on a TCP port of this machine (0: any free one).
 
     ``address`` is the terminal's path, or host:port. ``symlink`` is made to point at the terminal, and taken away
     at the end. ``fault`` may be set at any time, from any thread: it spoils answers ``fault_after`` to ``fault_after
     + fault_count`` (None: without end), counted from 0 since it was made.
     """
 
-    def __init__(self, module: SimulatedModule, unit: int, *, tcp: bool = False, symlink: Path | None = None) -> None:
+    def __init__(
+        self, module: SimulatedModule, unit: int, *, tcp: bool = False, tcp_port: int = 0, symlink: Path | None = None
+    ) -> None:
         super().__init__()
         self.module, self._unit_at = module, 6 if tcp else 0
         self.fault, self.fault_after = WireFault.NONE, 0
@@ -63,7 +68,7 @@ class ModuleServer(Server):
         self.late_s = 1.0
         self._slave = Slave({unit: module})
         self._answers = 0
-        self.address = self._listen() if tcp else self._open_terminal(symlink)
+        self.address = self._listen(tcp_port) if tcp else self._open_terminal(symlink)
 
     def _open_terminal(self, symlink: Path | None) -> str:
         session = RtuSession(self._slave)
@@ -75,8 +80,8 @@ class ModuleServer(Server):
         )
         return path
 
-    def _listen(self) -> str:
-        listener = self.cleanup.enter_context(socket.create_server(("127.0.0.1", 0)))
+    def _listen(self, tcp_port: int) -> str:
+        listener = self.cleanup.enter_context(socket.create_server(("127.0.0.1", tcp_port)))
         self._selector.register(listener, selectors.EVENT_READ, lambda: self._accept(listener))
         host, port = listener.getsockname()
         return f"{host}:{port}"

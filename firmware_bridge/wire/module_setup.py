@@ -49,6 +49,14 @@ def held(profile: Profile, channels: Sequence[int], safety: Safety) -> list[Held
     ]
 
 
+def most_requests(profile: Profile, channels: Sequence[int], safety: Safety) -> int:
+    """Requests that opening a module may take: each trip read, cleared and read again; each point that is to hold a
+    value read, written and read back."""
+    trips = len(trip_points(profile, channels))
+    asked = sum(wanted.value is not None for wanted in held(profile, channels, safety))
+    return 3 * (trips + asked)
+
+
 def trip_points(profile: Profile, channels: Sequence[int]) -> list[Point]:
     """Where a trip can be read: one point for the module, or one for each channel; none if it has no watchdog."""
     watchdog = profile.watchdog

@@ -104,7 +104,7 @@ class PlcServer:
     ) -> None:
         self._host, self._port, self._tls, self._tls_port = host, port, tls, tls.port if tls else 0
         self._access = Access(Networks(allow), Networks(allow_write), max_connections, idle_timeout_s)
-        self._stall_after_s = stall_after_s
+        self.stall_after_s = stall_after_s
         self._word_order: WordOrder = word_order
         self._snapshot = Snapshot()
         self._stalled = False
@@ -225,7 +225,7 @@ class PlcServer:
     def _swap(self, snapshot: Snapshot) -> None:
         """Build the image aside and put it in place; only under the lock, so that an older one never follows."""
         now_s = time.monotonic()
-        stalled = now_s - self._beat_s > self._stall_after_s
+        stalled = now_s - self._beat_s > self.stall_after_s
         if stalled is not self._stalled:
             self._note_stall(stalled)
         shown = as_stalled(snapshot) if stalled else snapshot
@@ -235,7 +235,7 @@ class PlcServer:
     def _note_stall(self, stalled: bool) -> None:
         self._stalled = stalled
         if stalled:
-            log.error("Inspection cycle has not turned for %g s: the PLC is told", self._stall_after_s)
+            log.error("Inspection cycle has not turned for %g s: the PLC is told", self.stall_after_s)
         else:
             log.info("Inspection cycle turns again")
 

@@ -11,6 +11,9 @@ from collections.abc import Mapping
 SEND_TIMEOUT_S = 0.5
 """A manager that is behind with its messages may hold up the cycle for so long."""
 
+FEED_MARGIN_S = 5.0
+"""The PLC is told of a cycle that is silent for too long so much earlier than the watchdog ends the service."""
+
 
 class Notifier:
     """Speaks to systemd when it started us with Type=notify; says nothing otherwise. Never raises."""
@@ -41,6 +44,12 @@ class Notifier:
     def reloading(self) -> None:
         """Say that settings are being read again; READY=1 ends it."""
         self.send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
+
+    def allow_silence(self, silence_s: float) -> None:
+        """Ask for a longer interval of the watchdog if the cycle may be silent for so long by its settings."""
+        if self._watchdog_s is not None and self._watchdog_s < silence_s + FEED_MARGIN_S:
+            self._watchdog_s = silence_s + FEED_MARGIN_S
+            self.send(f"WATCHDOG_USEC={round(self._watchdog_s * 1e6)}")
 
     def feed_watchdog(self, now_s: float) -> None:
         """Tell the watchdog that the cycle lives: as often as called, sent four times in its interval."""

@@ -13,7 +13,7 @@ from firmware_bridge.drivers.modbus_module import ModbusModule
 from firmware_bridge.links.modbus_master import ModbusMaster
 from firmware_bridge.settings import LampSettings
 from firmware_bridge.simulators.module_server import WireFault
-from firmware_bridge.wire.module_setup import Safety, held
+from firmware_bridge.wire.module_setup import Safety, held, most_requests
 from firmware_bridge.wire.profiles import PROFILES, manual
 
 UNIT = 3
@@ -214,3 +214,20 @@ def test_one_program_has_a_unit_over_tcp_at_a_time(serve: Any, module_at: Any) -
         second.open()
     first.close()
     second.open()
+
+
+@pytest.mark.parametrize("name", [name for name, profile in PROFILES.items() if profile.has_serial])
+def test_opening_takes_no_more_requests_than_the_profile_says(name: str) -> None:
+    """Every point held another value and the watchdog had tripped: the service's stall limit counts on this number."""
+    profile, safety = PROFILES[name], SAFETY if name == ICP else Safety()
+    line, module = in_memory(name, safety)
+    channels = range(profile.channels)
+    for wanted in held(profile, channels, safety):
+        if wanted.writable and wanted.value is not None:
+            line.module.set_value(wanted.point, 1 - min(wanted.value, 1))
+    if profile.watchdog and profile.watchdog.clear:
+        line.module.trip()
+    module.open()
+    most = most_requests(profile, channels, safety)
+    assert len(line.requests) <= most
+    assert name != ICP or len(line.requests) == most == 21

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
@@ -353,7 +354,7 @@ class Line(RuleBasedStateMachine):
             assert self.module.output_v == 0.0
 
 
-TestLine = Line.TestCase
-TestLine.settings = settings(
+Line.TestCase.settings = settings(
     max_examples=SEQUENCES, stateful_step_count=20, deadline=None, suppress_health_check=list(HealthCheck)
 )
+TestLine = pytest.mark.timeout(3600 if SEQUENCES > 1000 else 120)(Line.TestCase)

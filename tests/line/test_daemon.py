@@ -250,6 +250,16 @@ def test_reload_opens_again_only_what_changed(
     assert (at_work.camera.opened, at_work.lamp.closed) == (1, 1)
 
 
+def test_reload_lets_the_cycle_be_silent_for_as_long_as_the_new_devices_may(
+    bench: Callable[..., Bench], wait_until: Callable[..., Any]
+) -> None:
+    at_work = bench()
+    before_s = at_work.daemon.stall_after_s
+    at_work.station.settings["camera"]["deadline_s"] = 60
+    reload(at_work)
+    wait_until(lambda: at_work.daemon.stall_after_s > 60 > before_s, "a longer silence is allowed")
+
+
 def reload(bench: Bench) -> None:
     """As SIGHUP does; a permit lets the cycle under way end."""
     bench.station.write()

@@ -121,6 +121,21 @@ def test_module_faults_have_their_codes_and_end_by_themselves(
         )
 
 
+def test_a_slow_module_that_is_set_up_anew_is_no_stall(
+    station: Any, module: Callable[[], ModuleServer], service: Callable[..., Any]
+) -> None:
+    """Each answer comes in time and opening takes two dozen of them, longer than a cycle may: the cycle lives."""
+    station.settings["module"] |= {"deadline_s": 0.6, "safe_v": 1.0, "power_on_v": 0.5, "watchdog_s": 20.0}
+    station.settings["camera"]["deadline_s"] = 0.2
+    station.write()
+    server = module()
+    server.module.trip()
+    server.fault, server.late_s = WireFault.LATE, 0.25
+    running = service()
+    running.until_inspecting()
+    assert not [line for line in running.log if "has not turned" in line]
+
+
 def test_a_lamp_that_does_not_follow_is_never_a_pass(
     module: Callable[[], ModuleServer], service: Callable[..., Any]
 ) -> None:
@@ -255,7 +270,7 @@ def test_systemd_hears_of_every_turn(
                     return any(line.startswith(text) for line in heard)
 
         running = service(NOTIFY_SOCKET=name, WATCHDOG_USEC="400000")
-        for text in ("READY=1", "WATCHDOG=1", "STATUS=CONTINUOUS_EXECUTION"):
+        for text in ("READY=1", "WATCHDOG_USEC=", "WATCHDOG=1", "STATUS=CONTINUOUS_EXECUTION"):
             wait_until(lambda text=text: hears(text), text)
         heard.clear()
         running.send(signal.SIGHUP)
