@@ -17,6 +17,7 @@ from firmware_bridge.drivers.modbus_module import ModbusModule
 from firmware_bridge.factory import build_module
 from firmware_bridge.links.ports import Port
 from firmware_bridge.settings import LampSettings
+from firmware_bridge.wire.module_setup import AS_SET_UP, held
 from firmware_bridge.wire.profiles import PROFILES
 
 UNIT = 3
@@ -94,9 +95,9 @@ def test_one_station_leaves_the_same_trace_on_every_slave(
 ) -> None:
     """The same settings and the same work against libmodbus, pymodbus and our simulator: the same bytes, both ways."""
     server = serve(profile)
-    for setup in PROFILES[profile].setup:
-        if setup.writable:
-            server.module.set_value(setup.point, 0)  # foreign slaves begin with zeros: set up as by another way
+    for wanted in held(PROFILES[profile], range(PROFILES[profile].channels), AS_SET_UP):
+        if wanted.writable:
+            server.module.set_value(wanted.point, 0)  # foreign slaves begin with zeros: set up as by another way
     traces = []
     for port in (foreign(profile, "libmodbus"), foreign(profile, "pymodbus"), server.address):
         traced.clear()

@@ -259,6 +259,16 @@ def test_every_fault_of_the_wire_is_its_error_and_passes(
     assert _reads_within(master, deadline_s=10.0) == [0]
 
 
+@pytest.mark.parametrize("tcp", [False, True], ids=["rtu", "tcp"])
+def test_a_module_that_answers_twice_is_believed_once(tcp: bool, serve: Any, master_at: Any) -> None:
+    server = serve("ato-4ch", tcp=tcp)
+    master = master_at(server.address, deadline_s=5.0)
+    server.fault = WireFault.TWICE
+    for counts in range(0, 4000, 200):
+        master.write(HOLDING, 0, counts)
+        assert master.read(HOLDING, 0) == [counts], "what it said of the level before is not taken for this one's"
+
+
 def _reads_within(master: ModbusMaster, deadline_s: float) -> list[int]:
     """The first answer once the fault is over: a late one may still be on its way."""
     end_s = time.monotonic() + deadline_s

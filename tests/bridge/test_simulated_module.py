@@ -99,7 +99,16 @@ def test_what_is_wrong_with_a_module_can_be_asked_for(started: Any, module_at: A
         module_at("adam-4021", silent, deadline_s=0.3).open()
 
 
+def test_a_module_with_a_serial_line_can_be_tried_over_tcp(started: Any, module_at: Any) -> None:
+    _, address = started("--profile", "ato-4ch", "--unit", "3", "--tcp-port", "0")
+    driver = module_at("ato-4ch", address, deadline_s=10.0)
+    driver.open()
+    driver.write_volts(0, 3.0)
+    assert driver.read_volts(0) == pytest.approx(3.0, abs=0.002)
+
+
 @pytest.mark.parametrize("options", [
+    ("--profile", "ato-4ch", "--tcp-port", "0", "--symlink", "x"),
     ("--profile", "none"), ("--profile", "ato-4ch", "--unit", "0"), (), ("--profile", "ato-4ch", "--tripped"),
     ("--profile", "iologik-e1241", "--ascii"),
 ])  # fmt: skip
