@@ -261,6 +261,14 @@ def states() -> None:
 
 
 @app.command()
+def handshake() -> None:
+    """Print the integrator's page on the handshake with the PLC: rules, dialogues, table."""
+    from inspector import handshake_page
+
+    typer.echo(handshake_page.as_markdown(), nl=False)
+
+
+@app.command()
 def faults(format: Annotated[PageFormat, typer.Option(help="How to print it.")] = PageFormat.TABLE) -> None:
     """Print what can go wrong: fault, code, what the PLC sees, what the log says, how it recovers."""
     from inspector import fault_table
