@@ -57,7 +57,7 @@ $(BIN)/python:
 # The package itself is installed in place and without its dependencies: those come from the hashed list alone.
 INSTALL = $(BIN)/pip install --quiet --disable-pip-version-check
 
-$(VENV)/run.stamp: requirements.txt pyproject.toml $(wildcard inspector/_*.[ch] inspector/detect/_*.[ch]) | $(BIN)/python
+$(VENV)/run.stamp: requirements.txt pyproject.toml $(wildcard inspector/_*.[ch] inspector/detect/_*.[ch] inspector/publish/_*.c) | $(BIN)/python
 	@command -v $(CC) >/dev/null || { echo "no C compiler: apt install gcc libc6-dev (or: make CC=...)" >&2; exit 1; }
 	$(INSTALL) --require-hashes -r requirements.txt
 	$(INSTALL) --no-deps --no-build-isolation --editable .

@@ -9,68 +9,39 @@ from __future__ import annotations
 
 import struct
 
-from firmware_bridge.wire.modbus import LAST_READ_FUNCTION, MEI_DEVICE_IDENTIFICATION, Slave
+from firmware_bridge.wire.modbus import MEI_DEVICE_IDENTIFICATION, Slave
 
 _PREFIX = struct.Struct(">HHH")
 """Transaction, protocol (0), length of all that follows: unit and PDU."""
 _MBAP = struct.Struct(">HHHB")
 """The same, and the unit."""
 MIN_MBAP_LENGTH, MAX_MBAP_LENGTH = 2, 254
-_READ_BYTES = 12
-"""A whole request to read: header, function, address and count."""
 
 MAX_RTU_BYTES = 256
 MIN_RTU_BYTES = 4
 BROADCAST = 0
 
 
-class Remembered:
-    """Answers to reads given since the last :meth:`forget`, so that the next of the same reads costs a look-up.
-
-    Whoever changes what is read calls :meth:`forget` afterwards, from any thread: an answer on its way from the old
-    registers then falls into a table that nobody looks into any more.
-    """
-
-    MOST = 64
-    """Kept at once; clients that poll have a few each, and nobody else shall fill the memory."""
-
-    def __init__(self) -> None:
-        self.answers: dict[bytes, bytes] = {}
-
-    def forget(self) -> None:
-        """What was read so far is no longer so."""
-        self.answers = {}
-
-
 class TcpSession:
     """One Modbus TCP connection. ``broken`` says why the stream can no longer be followed: close the connection.
 
-    ``may_write``: whether this client's writes are carried out. ``remembered``: shared by the sessions of a slave
-    whose registers change only where :meth:`Remembered.forget` is called.
+    ``may_write``: whether this client's writes are carried out.
     """
 
-    def __init__(self, slave: Slave, *, may_write: bool = True, remembered: Remembered | None = None) -> None:
-        self._slave, self.may_write, self._remembered = slave, may_write, remembered
+    def __init__(self, slave: Slave, *, may_write: bool = True) -> None:
+        self._slave, self.may_write = slave, may_write
         self._pending = b""
         self.broken: str | None = None
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether a request has begun and not ended."""
+        return bool(self._pending)
 
     def receive(self, data: bytes) -> bytes:
         """Answers, in order, to the requests that ``data`` completes. After ``broken`` nothing is answered."""
         if self.broken:
             return b""
-        if self._remembered is None or self._pending or len(data) != _READ_BYTES:
-            return self._answers(data)
-        answers = self._remembered.answers  # these, whatever is published from here on
-        known = answers.get(data[2:])
-        if known is not None:
-            self._slave.counters.requests += 1
-            return data[:2] + known
-        answer = self._answers(data)
-        if len(answers) < Remembered.MOST and _is_read(data, answer):
-            answers[data[2:]] = answer[2:]
-        return answer
-
-    def _answers(self, data: bytes) -> bytes:
         stream = self._pending + data if self._pending else data
         answers = []
         start, end = 0, len(stream)
@@ -90,11 +61,6 @@ class TcpSession:
             start = following
         self._pending = stream[start:]
         return answers[0] if len(answers) == 1 else b"".join(answers)
-
-
-def _is_read(request: bytes, answer: bytes) -> bool:
-    """Whether this is one whole request to read, and its answer no refusal."""
-    return len(answer) > _MBAP.size and request[7] <= LAST_READ_FUNCTION and request[7] == answer[7]
 
 
 class RtuSession:

@@ -1,7 +1,7 @@
 """The clients of the PLC server: who is let in, attended to in turn, and closed when it is time.
 
-One thread, one epoll. An event loop of the standard library does the same at two and a half times the cost of a
-request, which is nothing but a look-up (benchmarks/README.md).
+One thread, one epoll, waited on in C (:mod:`inspector.publish.plc_direct`), where reads are answered at once; the rest
+is attended to here.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 
 from inspector.publish.plc_access import Networks, gives_way
 from inspector.publish.plc_connection import Connection, Ending
+from inspector.publish.plc_direct import Direct, Left
 
 log = logging.getLogger(__name__)
 
@@ -51,8 +52,8 @@ class Door:
 class Clients:
     """Accepts on listeners and attends to who came, in :meth:`run`, until :meth:`stop`."""
 
-    def __init__(self, access: Access) -> None:
-        self._access = access
+    def __init__(self, access: Access, direct: Direct) -> None:
+        self._access, self._direct = access, direct
         self._epoll = select.epoll()
         self._listeners: dict[int, tuple[socket.socket, Welcome]] = {}
         self.connections: dict[int, Connection] = {}
@@ -79,8 +80,7 @@ class Clients:
                     due_s = now_s + every_s
                     regularly()
                     self._tidy(now_s)
-                for fd, _ in self._epoll.poll(max(due_s - now_s, 0.0)):
-                    self._attend(fd)
+                self._attend(*self._direct.wait(self._epoll.fileno(), due_s - now_s))
         finally:
             self._close_sockets()
 
@@ -95,21 +95,23 @@ class Clients:
         self._epoll.close()
         os.close(self._wake_fd)
 
-    def _attend(self, fd: int) -> None:
+    def _attend(self, left: Left, fd: int, data: bytes) -> None:
         connection = self.connections.get(fd)
-        if connection is None:
-            if fd in self._listeners:
+        if left is Left.NOTHING or connection is None:
+            if left is Left.READY and fd in self._listeners:
                 self._accept(*self._listeners[fd])
             return
         wanted = connection.wanted
         try:
-            connection.attend()
+            connection.attend(left, data)
         except Exception:
             log.exception("PLC client %s cannot be served", connection.address)
             connection.ending = Ending.FAILED
         if connection.ending:
             self._close(fd, connection.ending)
-        elif connection.wanted != wanted:
+            return
+        self._direct.watch(fd, connection.direct)
+        if connection.wanted != wanted:
             self._epoll.modify(fd, connection.wanted)
 
     def _accept(self, listener: socket.socket, welcome: Welcome) -> None:
@@ -134,8 +136,11 @@ class Clients:
             client.close()
             return
         self.door.accepted += 1
-        self.connections[connection.fileno()] = connection
-        self._epoll.register(connection, connection.wanted)
+        fd = connection.fileno()
+        self.connections[fd] = connection
+        self._direct.take_activity(fd)  # another's
+        self._direct.watch(fd, connection.direct)
+        self._epoll.register(fd, connection.wanted)
 
     def admits(self, address: str, may_write: bool) -> bool:
         """Whether this address may connect, and room is there or made; says in the log, once an address, why not."""
@@ -145,6 +150,7 @@ class Clients:
             return False
         if len(self.connections) < self._access.max_connections:
             return True
+        self._note_activity()
         yielding = gives_way(address, may_write, self.connections.values(), time.monotonic())
         if yielding is None:
             self.door.refused_full += 1
@@ -173,13 +179,22 @@ class Clients:
             self._accepting_from_s = 0.0
             for fd in self._listeners:
                 self._epoll.modify(fd, select.EPOLLIN)
+        self._note_activity()
         for fd, connection in list(self.connections.items()):
             ending = connection.overdue(now_s, self._access.idle_timeout_s)
             if ending:
                 self._close(fd, ending)
 
+    def _note_activity(self) -> None:
+        """Connections learn what was answered for them in C."""
+        for fd, connection in self.connections.items():
+            answered, heard_s = self._direct.take_activity(fd)
+            if answered:
+                connection.answered, connection.heard_s = connection.answered + answered, heard_s
+
     def _close(self, fd: int, ending: Ending) -> None:
         self.door.endings[ending] += 1
+        self._direct.watch(fd, False)
         self.connections.pop(fd).close()  # which takes it out of the epoll too
 
     def _close_sockets(self) -> None:

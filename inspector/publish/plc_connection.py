@@ -9,11 +9,10 @@ import time
 from typing import ClassVar
 
 from firmware_bridge.wire.modbus_frames import TcpSession
+from inspector.publish.plc_direct import RECEIVE_BYTES, Left
 
 SLOW_READER_S = 5.0
 """How long a client may leave its answers unread."""
-RECEIVE_BYTES = 4096
-"""What a client can make us do before the others have their turn: 341 requests."""
 
 
 class Ending(enum.Enum):
@@ -58,10 +57,20 @@ class Connection:
         """The socket's descriptor; -1 once it is closed."""
         return self._client.fileno()
 
-    def attend(self) -> None:
-        """Something can be read, or written: go on."""
+    @property
+    def direct(self) -> bool:
+        """Whether what comes next may be answered by others: nothing of before is waiting."""
+        return not self._unsent and not self._session.unfinished
+
+    def attend(self, left: Left, data: bytes) -> None:
+        """Something can be read or written, was received and not answered (``data``), or was answered and not sent."""
         try:
-            self._go_on()
+            if left is Left.READY:
+                self._go_on()
+            elif left is Left.UNSENT:
+                self._send(data)
+            else:
+                self._receive(data)
         except self.NOT_YET:
             return
         except OSError:
@@ -81,12 +90,13 @@ class Connection:
     def _go_on(self) -> None:
         if self._unsent:
             self._send(self._unsent)
-        elif data := self._client.recv(RECEIVE_BYTES):
-            self._receive(data)
         else:
-            self.ending = Ending.BY_CLIENT
+            self._receive(self._client.recv(RECEIVE_BYTES))
 
     def _receive(self, data: bytes) -> None:
+        if not data:
+            self.ending = Ending.BY_CLIENT
+            return
         answers = self._session.receive(data)
         if answers:
             self.answered += 1

@@ -7,7 +7,6 @@ import struct
 from collections.abc import Callable, Sequence
 
 from firmware_bridge.wire.modbus import DeviceFailure, IllegalAddress, ModbusError, Table
-from firmware_bridge.wire.modbus_frames import Remembered
 from inspector.publish.registers import CONTROL_ADDRESS, CONTROL_WORDS, Image
 
 log = logging.getLogger(__name__)
@@ -20,18 +19,16 @@ or refuses by raising a ModbusError. Called in any thread of the server."""
 class ServedRegisters:
     """The image as a Modbus data model: holding registers mirror input registers; the control block can be written.
 
-    Without ``on_control`` nothing can. ``remembered`` holds the answers to reads of what is here.
+    Without ``on_control`` nothing can.
     """
 
     def __init__(self, on_control: OnControl | None = None) -> None:
-        self.remembered = Remembered()
         self._image = Image(())
         self._on_control = on_control
 
     def show(self, image: Image) -> None:
         """Serve this from now on."""
         self._image = image
-        self.remembered.forget()
 
     def read_registers(self, table: Table, address: int, count: int) -> bytes:
         """From one image, so never torn."""

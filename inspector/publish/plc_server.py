@@ -29,6 +29,7 @@ from inspector.model import Reason, Snapshot, State, Verdict
 from inspector.publish.plc_access import LOOPBACK, Networks
 from inspector.publish.plc_clients import Access, Clients, Door, Welcome
 from inspector.publish.plc_connection import Connection, Ending
+from inspector.publish.plc_direct import Direct
 from inspector.publish.plc_registers import OnControl, ServedRegisters
 from inspector.publish.registers import MAP_VERSION, WordOrder, encode_image
 
@@ -111,6 +112,7 @@ class PlcServer:
         self._lock = threading.Lock()
         self._registers = ServedRegisters(on_control)
         self._slave = Slave(dict.fromkeys(unit_ids, self._registers), _identity(name))
+        self._direct = Direct(unit_ids, self._slave.counters)
         self._serial = serial
         self._serial_slave = Slave({serial.unit: self._registers} if serial else {}, _identity(name))
         self._clients: Clients | None = None
@@ -134,7 +136,7 @@ class PlcServer:
 
     def start(self) -> None:
         """Return once clients are served. Raises :class:`PlcServerError`, and then serves nothing."""
-        clients = Clients(self._access)
+        clients = Clients(self._access, self._direct)
         try:
             self._port = self._listen(clients, self._host, self._port, self._welcome)
             if self._tls:
@@ -208,7 +210,7 @@ class PlcServer:
         return SecureConnection(self._tls_context, client, address, self._session(may_write), roles)
 
     def _session(self, may_write: bool) -> TcpSession:
-        return TcpSession(self._slave, may_write=may_write, remembered=self._registers.remembered)
+        return TcpSession(self._slave, may_write=may_write)
 
     def _start_serial(self) -> None:
         if self._serial:
@@ -229,7 +231,9 @@ class PlcServer:
         if stalled is not self._stalled:
             self._note_stall(stalled)
         shown = as_stalled(snapshot) if stalled else snapshot
-        self._registers.show(encode_image(shown, now_s, int(now_s - self._started_s), self._word_order))
+        image = encode_image(shown, now_s, int(now_s - self._started_s), self._word_order)
+        self._registers.show(image)
+        self._direct.show(image)
         self._snapshot = snapshot
 
     def _note_stall(self, stalled: bool) -> None:

@@ -111,6 +111,11 @@ class SecureConnection(Connection):
         super().__init__(self._secure, address, session)
         self._began_s = self.heard_s
 
+    @property
+    def direct(self) -> bool:
+        """Never: what comes is to be decrypted first."""
+        return False
+
     def overdue(self, now_s: float, idle_timeout_s: float) -> Ending | None:
         """Why it has to be closed by now, if it has."""
         if not self._proven and now_s - self._began_s > HANDSHAKE_S:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_bridge.wire.modbus import DataModel, IllegalAddress, Slave, Table
-from firmware_bridge.wire.modbus_frames import Remembered, RtuSession, TcpSession, crc16, rtu_frame
+from firmware_bridge.wire.modbus_frames import RtuSession, TcpSession, crc16, rtu_frame
 
 UNIT = 5
 READ = bytes.fromhex("03 0001 0002")
@@ -155,44 +155,6 @@ def test_rtu_finds_requests_after_garbage_without_a_pause(garbage: bytes) -> Non
     line = session()
     requests = rtu_frame(UNIT, READ) * 40
     assert rtu_frame(UNIT, ANSWER) in line.receive(garbage + requests) + line.silence()
-
-
-def test_remembered_answers_are_those_of_the_slave_and_are_forgotten() -> None:
-    class Rising(Counting):
-        base = 0
-
-        def read_registers(self, table: Table, address: int, count: int) -> bytes:
-            return b"".join((self.base + i).to_bytes(2, "big") for i in range(address, address + count))
-
-    model, remembered = Rising(), Remembered()
-    slave = Slave({UNIT: model})
-    streams = [TcpSession(slave, remembered=remembered) for _ in range(2)]
-    for transaction in range(6):
-        assert streams[transaction % 2].receive(tcp(transaction, READ)) == tcp(transaction, ANSWER)
-    assert slave.counters.requests == 6
-    model.base = 0x100
-    remembered.forget()
-    assert streams[0].receive(tcp(9, READ)) == tcp(9, bytes.fromhex("03 04 0101 0102"))
-
-
-@given(st.lists(st.binary(min_size=1, max_size=30), max_size=12))
-def test_remembering_changes_no_answer(requests: list[bytes]) -> None:
-    remembered = Remembered()
-    with_memory = TcpSession(Slave({UNIT: Counting()}), remembered=remembered)
-    without = TcpSession(Slave({UNIT: Counting()}))
-    for request in [*requests, *requests]:
-        stream = tcp(1, READ) + tcp(2, request)[: 12 if len(request) % 2 else 999]
-        for piece in (stream[:12], stream[12:]):
-            assert with_memory.receive(piece) == without.receive(piece)
-        assert with_memory.broken == without.broken
-
-
-def test_no_client_fills_the_memory() -> None:
-    remembered = Remembered()
-    stream = TcpSession(Slave({UNIT: Counting()}), remembered=remembered)
-    for address in range(1000):
-        stream.receive(tcp(1, b"\x03" + address.to_bytes(2, "big") + b"\0\1"))
-    assert len(remembered.answers) == Remembered.MOST
 
 
 def test_a_serial_line_counts_what_it_hears() -> None:
