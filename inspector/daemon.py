@@ -24,6 +24,7 @@ from inspector.cycle import Cycle, Inspection, longest_silence_s
 from inspector.faults import Fault
 from inspector.handshake_table import Command
 from inspector.lifecycle import Event, after
+from inspector.line_history import LineHistory
 from inspector.model import Snapshot
 from inspector.plc_commands import carried_out
 from inspector.publish import console
@@ -91,7 +92,6 @@ class Daemon:
         notifier: Notifier | None = None,
         inspection: Callable[[Settings], Inspection] = inspection_of,
         build: Callable[..., factory.Devices] = factory.build,
-        reset_statistics: Callable[[], None] | None = None,
     ) -> None:
         self._file, self._signals = file, signals
         self._settings, self._settings_recipe_id = recipe_choice.resumed(settings), settings.recipe.id
@@ -104,9 +104,8 @@ class Daemon:
         self._handlers: dict[Command, Callable[[int], None]] = {
             Command.CHANGE_RECIPE: self._change_recipe,
             Command.DISCARD_RESULTS: lambda _: self._control.discard_results(),
+            Command.RESET_STATISTICS: self._reset_statistics,
         }
-        if reset_statistics is not None:
-            self._handlers[Command.RESET_STATISTICS] = lambda _: reset_statistics()
         self._server = _server(settings, self._control)
         self._spoken_s = -math.inf
 
@@ -144,6 +143,8 @@ class Daemon:
         devices = self._build(settings.camera, settings.module, settings.lamp)
         inspect = self._make_inspection(settings)
         self._cycle = Cycle(settings, devices, inspect, waiting=self._waiting)
+        self._history = LineHistory(settings)
+        at_end.callback(self._history.close)
         at_end.callback(self._cycle.close)
         at_end.callback(self._say_farewell)
         self._trigger = self._triggered()
@@ -238,7 +239,7 @@ class Daemon:
         shown = turn.snapshot
         if one_by_one:
             shown = replace(shown, state=after(shown.state, Event.FINISHED, Event.STOPPED))
-        self._show(replace(shown, panel_id=panel_id or shown.panel_id))
+        self._show(self._history.after(replace(shown, panel_id=panel_id or shown.panel_id)))
         console.say(console.panel_line(self._snapshot, turn.name, turn.why))
         self._trigger.took(turn.frame_id)
         self._trigger.ended(time.monotonic(), self._cycle.resume_s(started_s))
@@ -268,6 +269,11 @@ class Daemon:
                 recipe_choice.keep(self._settings.recipe_choice_file, recipe_id, self._settings_recipe_id)
             except OSError as error:
                 log.error("recipe %d is in use, but not after a restart: %s", recipe_id, error)
+
+    def _reset_statistics(self, what: int) -> None:
+        """Begin the statistics anew, as the command's argument says. Raises SettingsError if it says nothing."""
+        self._history.reset(what)
+        self._show(replace(self._snapshot, statistics=None))
 
     def _counted(self, snapshot: Snapshot) -> Snapshot:
         return replace(snapshot, missed_triggers=self._trigger.missed, late_triggers=self._trigger.late)
@@ -313,6 +319,7 @@ class Daemon:
         else:
             self._server.renew_certificates()
         self._cycle.take_over(new, self._build(new.camera, new.module, new.lamp), inspect)
+        self._history.take_over(new)
         self._settings = new
         self._serve()
         self._sequence.move(new.plc.sequence_file)

@@ -21,6 +21,7 @@ from inspector import lamp_curve_file, recipe_folder, recipe_proof, yaml_documen
 from inspector.acquire.light import LightSettings
 from inspector.calibration_file import CalibrationError
 from inspector.calibration_file import read as read_calibration
+from inspector.judge.spc.settings import StatisticsSettings
 from inspector.publish.plc_settings import PlcSettings
 from inspector.recipe import Recipe, Strict, find
 from inspector.yaml_document import Document, Place, Problem
@@ -143,6 +144,10 @@ class Settings(Strict):
     """The inspection cycle."""
     light: LightSettings | None = None
     """The reference patch by which the light is kept constant; null: there is none."""
+    statistics: StatisticsSettings = StatisticsSettings()
+    """Statistics of the paint line."""
+    statistics_file: Annotated[Path, Field(strict=False)] | None = None
+    """File in which the statistics are kept over restarts; null: they begin anew with each."""
 
     def under(self, folder: Path) -> Settings:
         """The same settings with relative paths taken from ``folder``."""
@@ -153,6 +158,7 @@ class Settings(Strict):
                 "lamp": self.lamp.under(folder),
                 "plc": self.plc.under(folder),
                 "recipe_choice_file": self.recipe_choice_file and folder / self.recipe_choice_file,
+                "statistics_file": self.statistics_file and folder / self.statistics_file,
             },
         )
 
@@ -180,6 +186,7 @@ def load_devices(path: Path) -> DeviceSettings:
 def load(path: Path) -> Settings:
     """The settings in a file, with its calibration file looked through. Raises SettingsError with every problem."""
     document, choice = _with_recipes(_with_lamp_curve(yaml_document.read(path), path.parent), path.parent)
+    document = _with_actions(document, path.parent)
     settings, problems = yaml_document.validate(document, Settings)
     if isinstance(document.data, dict):
         problems += tuple(_joint_problems(document, document.data, path.parent))
@@ -215,6 +222,7 @@ def configuration_hash(settings: Settings) -> int:
             "lamp": {"hours_file"},
             "plc": {"sequence_file"},
             "recipe_choice_file": True,
+            "statistics_file": True,
         }
     )
     text = json.dumps(values, sort_keys=True, default=lambda path: os.path.relpath(path, folder)).encode()
@@ -279,6 +287,16 @@ def _with_lamp_curve(document: Document, folder: Path) -> Document:
         return document
     measured = lamp_curve_file.document(folder / curve)
     return document.including("lamp", Document(document.source, lamp).including("curve", measured))
+
+
+def _with_actions(document: Document, folder: Path) -> Document:
+    """The document with the file of the statistics' table of actions, if it names one, taken in."""
+    statistics = document.data.get("statistics") if isinstance(document.data, dict) else None
+    actions = statistics.get("actions") if isinstance(statistics, dict) else None
+    if not isinstance(actions, str):
+        return document
+    table = yaml_document.read(folder / actions)
+    return document.including("statistics", Document(document.source, statistics).including("actions", table))
 
 
 def _joint_problems(document: Document, data: Mapping[str, object], folder: Path) -> Iterator[Problem]:

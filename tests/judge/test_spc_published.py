@@ -230,9 +230,10 @@ def test_nearest_neighbours_of_a_hexagonal_lattice() -> None:
     """Clark and Evans 1954: R is 2.1491 at most, where each place has six others around it; the panel's rim apart."""
     step, rows, columns = 10.0, 30, 30
     places = [(step * (x + 0.5 * (y % 2)), step * math.sqrt(0.75) * y) for y in range(rows) for x in range(columns)]
-    found = neighbours(places, (0.0, 0.0, step * columns, step * math.sqrt(0.75) * rows))
+    area = step * columns * step * math.sqrt(0.75) * rows
+    found = neighbours(places, area, 4 * math.sqrt(area))
     assert found is not None
-    without_rim = 0.5 * math.sqrt(step * columns * step * math.sqrt(0.75) * rows / len(places))
+    without_rim = 0.5 * math.sqrt(area / len(places))
     assert found.total_mm / len(places) / without_rim == pytest.approx(2.1491, abs=1e-4)
 
 
@@ -240,7 +241,7 @@ def test_random_places_are_called_random_as_often_as_they_should() -> None:
     draw, z = random.Random(9), []
     for _ in range(400):
         panels = [
-            neighbours([(draw.uniform(0, 400), draw.uniform(0, 250)) for _ in range(6)], (0.0, 0.0, 400.0, 250.0))
+            neighbours([(draw.uniform(0, 400), draw.uniform(0, 250)) for _ in range(6)], 400.0 * 250.0, 1300.0)
             for _ in range(10)
         ]
         found = pattern(panel for panel in panels if panel)
@@ -248,4 +249,20 @@ def test_random_places_are_called_random_as_often_as_they_should() -> None:
         z.append(found.z)
     assert fmean(z) == pytest.approx(0.0, abs=0.2)
     assert stdev(z) == pytest.approx(1.0, abs=0.15)
-    assert expected_distance(100, 10.0, 10.0)[0] == pytest.approx(0.5 + 0.0555 * 40 / 100)
+    assert expected_distance(100, 100.0, 40.0)[0] == pytest.approx(0.5 + 0.0555 * 40 / 100)
+
+
+def test_random_places_in_an_oblique_view_are_called_random() -> None:
+    """The field of an oblique camera is a trapezium: its own area and rim count, not those of a box around it."""
+    draw, panels = random.Random(10), []
+    sides = math.hypot(100, 200)
+    for _ in range(300):
+        places: list[tuple[float, float]] = []
+        while len(places) < 12:
+            x, y = draw.uniform(0, 400), draw.uniform(0, 200)
+            if y / 2 < x < 400 - y / 2:
+                places.append((x, y))
+        panels.append(neighbours(places, (400 + 200) / 2 * 200, 400 + 200 + 2 * sides))
+    found = pattern(panel for panel in panels if panel)
+    assert found is not None
+    assert abs(found.z) < 3.3

@@ -36,13 +36,13 @@ class Plc:
         self._socket = socket.create_connection(("127.0.0.1", port), timeout=10)
         self._stream = self._socket.makefile("rb")
 
-    def read(self) -> dict[str, Any]:
-        """The result block by name. Raises OSError when the service has gone."""
-        self._socket.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, RESULT_ADDRESS, RESULT_WORDS))
-        answer = self._stream.read(9 + 2 * RESULT_WORDS)
-        if len(answer) < 9 + 2 * RESULT_WORDS:
+    def read(self, address: int = RESULT_ADDRESS, words: int = RESULT_WORDS) -> dict[str, Any]:
+        """The result block, or another area, by name. Raises OSError when the service has gone."""
+        self._socket.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, address, words))
+        answer = self._stream.read(9 + 2 * words)
+        if len(answer) < 9 + 2 * words:
             raise ConnectionResetError
-        return decode(struct.unpack(f">{RESULT_WORDS}H", answer[9:]))
+        return decode(struct.unpack(f">{words}H", answer[9:]), address)
 
     def write(self, address: int, *words: int) -> int:
         """Write registers by function 16; the exception code, 0 if it was done."""

@@ -136,7 +136,8 @@ def test_commands_are_carried_out_or_refused_with_a_code(line: Callable[..., Lin
     at.until_set(Answer.TRIGGER_READY)
     assert at.execute(99) == CommandResult.UNKNOWN_COMMAND
     assert at.execute(Command.CHANGE_RECIPE, 1) == CommandResult.DONE
-    assert at.execute(Command.RESET_STATISTICS) == CommandResult.NOT_AVAILABLE
+    assert at.execute(Command.RESET_STATISTICS) == CommandResult.DONE
+    assert at.execute(Command.RESET_STATISTICS, 2) == CommandResult.REFUSED
     at.control(Control.TRIGGER)
     at.station.camera.permits.release()
     at.until_set(Answer.RESULT_AVAILABLE)

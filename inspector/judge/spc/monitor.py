@@ -56,14 +56,14 @@ class Monitor:
         )
         for rule in list(charts.alarms):
             self._age(charts, rule)
+        length = self.settings.window_panels
+        charts.inspected = [*charts.inspected, panel.is_sound][-length:]
         if panel.is_sound:
             seen = self._take_in(panel, recipe)
+            charts.window = [*charts.window, seen][-length:]
+            self._look_for_places(seen)
         else:
             charts.not_inspected += 1
-            seen = Seen(panel.recipe_id, inspected=False)
-        charts.window = [*charts.window, seen][-self.settings.window_panels :]
-        if seen.inspected:
-            self._look_for_places(seen)
         return report(panel, charts, recipe, self._count_baseline(panel.recipe_id, recipe), self.settings)
 
     def _recipe(self, recipe_id: int) -> Learning:
@@ -88,15 +88,16 @@ class Monitor:
         if known_um:
             self._learn_or_chart_heights([math.log(h) for h in known_um], recipe)
         places = [p for p in panel.places_mm[:MOST_DEFECTS] if math.isfinite(p[0] + p[1])]
+        x_min, y_min, x_max, y_max = panel.bounds_mm
+        rim_mm = panel.rim_mm or 2.0 * (x_max - x_min + y_max - y_min)
         return Seen(
             panel.recipe_id,
-            inspected=True,
             count=panel.count,
             area_m2=panel.area_m2,
             expected=expected,
             heights_um=known_um,
-            neighbours=spread.neighbours(places, panel.bounds_mm),
-            placed=len(places),
+            neighbours=spread.neighbours(places, panel.area_m2 * 1e6, rim_mm),
+            cell_chance=spread.cell_chance(len(places), panel.bounds_mm, panel.area_m2 * 1e6),
             cells=spread.cells_hit(places, panel.bounds_mm),
             bounds_mm=panel.bounds_mm,
         )

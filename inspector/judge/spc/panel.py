@@ -28,6 +28,8 @@ class Panel:
     sigmas_um: tuple[float | None, ...] = ()
     places_mm: tuple[tuple[float, float], ...] = ()
     bounds_mm: Bounds = (0.0, 0.0, 0.0, 0.0)
+    rim_mm: float = 0.0
+    """Length of the rim of what was inspected; an oblique view's is no rectangle. 0: that of the bounds."""
 
     @property
     def is_sound(self) -> bool:

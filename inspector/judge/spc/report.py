@@ -19,15 +19,15 @@ HEIGHT_RULES = (Rule.HEIGHT_ABOVE, Rule.HEIGHT_BELOW, Rule.HEIGHT_PATTERN)
 def report(
     panel: Panel, charts: Charts, recipe: Learning, base: CountBaseline | None, settings: StatisticsSettings
 ) -> Statistics:
-    """The statistics after ``panel``, which is the window's last; ``base`` is its recipe's baseline of counts."""
-    seen, latest = charts.window, charts.window[-1]
+    """The statistics after ``panel``, which is the last one; ``base`` is its recipe's baseline of counts."""
+    seen = charts.window
     rule = min(charts.alarms, default=Rule.NONE)
     since = _since_change(rule, charts)
     rate, sigma_z = window.rate(seen), base.sigma_z if base else 1.0
     trend, trend_percent = window.trend_of(seen, sigma_z, settings)
     spread, spread_index = window.spread_of(seen, settings)
     height = heights.summary(list(chain.from_iterable(s.heights_um for s in seen)), settings.large_um)
-    place = window.repeated(seen, latest, settings) if latest.inspected else None
+    place = window.repeated(seen, seen[-1], settings) if panel.is_sound else None
     mean = base.per_m2 * panel.area_m2 if base and panel.is_sound else None
     limits = counts.limits(mean, sigma_z, settings.limits, settings.tail) if mean else None
     statistics = Statistics(
@@ -37,7 +37,7 @@ def report(
         too_little=TooLittle(0),
         panels=charts.panels,
         panels_not_inspected=charts.not_inspected,
-        not_inspected_share=window.not_inspected_share(seen),
+        not_inspected_share=1.0 - sum(charts.inspected) / len(charts.inspected),
         count=panel.count if panel.is_sound else None,
         per_m2=panel.count / panel.area_m2 if panel.is_sound else None,
         recent_panels=rate.panels if rate else 0,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PositiveFloat, model_validator
 
@@ -144,6 +144,12 @@ DEFAULT_ACTIONS: tuple[ActionRow, ...] = (
 )
 
 
+def _or_file(schema: dict[str, Any]) -> None:
+    """The table may stand in a file of its own: say so in the JSON schema."""
+    in_place = {"type": schema.pop("type"), "items": schema.pop("items")}
+    schema["anyOf"] = [in_place, {"type": "string", "description": "YAML file with the rows"}]
+
+
 class StatisticsSettings(Strict):
     """Statistics of the paint loop: when they warn, and what they advise."""
 
@@ -183,8 +189,8 @@ class StatisticsSettings(Strict):
     """Trend, spread and repeated places are told apart from chance at this probability of being wrong."""
     alarm_panels: int = Field(5, ge=1, le=1000)
     """An alarm of a single panel stands for so many panels; any other while its chart shows it."""
-    actions: tuple[ActionRow, ...] = Field(DEFAULT_ACTIONS, strict=False)
-    """What to advise: the first row whose conditions hold."""
+    actions: tuple[ActionRow, ...] = Field(DEFAULT_ACTIONS, strict=False, json_schema_extra=_or_file)
+    """What to advise, the first row whose conditions hold: in place, or a file that has the rows."""
 
     @model_validator(mode="after")
     def _one_target_each(self) -> Self:

@@ -2,7 +2,7 @@
 
 Sources: P. J. Clark and F. C. Evans, Distance to nearest neighbor as a measure of spatial relationships in
 populations, Ecology 35 (1954) 445-453; K. P. Donnelly, Simulations to determine the variance and edge effect of total
-nearest neighbour distance, 1978 (the correction for a rectangle's edge).
+nearest neighbour distance, 1978 (the correction for the edge).
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from inspector.judge.spc.panel import Bounds
 
 FEWEST_ON_A_PANEL, FEWEST_ON_A_LONG_PANEL = 5, 10
 """From these on Donnelly's mean is right to 1 %: on panels up to twice as long as wide, and up to four times."""
+LONG = 18.0
+"""Rim squared over area of a rectangle twice as long as wide."""
 COLUMNS, ROWS = 8, 6
 """Cells that the panel is parted into; and once more, shifted by half a cell, for places on their borders."""
 CELLS = COLUMNS * ROWS + (COLUMNS + 1) * (ROWS + 1)
@@ -42,26 +44,23 @@ class Pattern:
     z: float
 
 
-def expected_distance(count: int, width: float, height: float) -> tuple[float, float]:
-    """Mean distance to the nearest of ``count`` random places in a rectangle, and that mean's variance; Donnelly."""
-    area, rim = width * height, 2.0 * (width + height)
+def expected_distance(count: int, area: float, rim: float) -> tuple[float, float]:
+    """Mean distance to the nearest of ``count`` random places in an area of this rim, and that mean's variance."""
     mean = 0.5 * math.sqrt(area / count) + (0.0514 + 0.041 / math.sqrt(count)) * rim / count
     return mean, 0.0703 * area / count**2 + 0.037 * rim * math.sqrt(area / count**5)
 
 
-def neighbours(places_mm: Sequence[tuple[float, float]], bounds_mm: Bounds) -> Neighbours | None:
+def neighbours(places_mm: Sequence[tuple[float, float]], area_mm2: float, rim_mm: float) -> Neighbours | None:
     """The nearest neighbours on one panel; None: too few defects, or a panel without an extent."""
-    width, height = bounds_mm[2] - bounds_mm[0], bounds_mm[3] - bounds_mm[1]
     count = len(places_mm)
-    if not (width > 0 and height > 0):
+    if not (area_mm2 > 0 and rim_mm > 0):
         return None
-    is_long = max(width, height) > 2.0 * min(width, height)
-    if count < (FEWEST_ON_A_LONG_PANEL if is_long else FEWEST_ON_A_PANEL):
+    if count < (FEWEST_ON_A_LONG_PANEL if rim_mm**2 > LONG * area_mm2 else FEWEST_ON_A_PANEL):
         return None
     xy = np.asarray(places_mm, dtype=float)
     squared = ((xy[:, None, :] - xy[None, :, :]) ** 2).sum(axis=2)
     np.fill_diagonal(squared, np.inf)
-    mean, variance = expected_distance(count, width, height)
+    mean, variance = expected_distance(count, area_mm2, rim_mm)
     total = float(np.sqrt(squared.min(axis=1)).sum())
     return Neighbours(count, total, count * mean, count**2 * variance)
 
@@ -100,16 +99,25 @@ def centre_mm(cell: int, bounds_mm: Bounds) -> tuple[float, float]:
     return x_min + column / COLUMNS * (x_max - x_min), y_min + row / ROWS * (y_max - y_min)
 
 
-def repeated_cell(panels: Sequence[tuple[int, Sequence[int]]], significance: float) -> tuple[int, int] | None:
+def cell_chance(count: int, bounds_mm: Bounds, area_mm2: float) -> float:
+    """How probable it is that one of ``count`` random defects hits a given cell within the inspected area."""
+    bounds_mm2 = (bounds_mm[2] - bounds_mm[0]) * (bounds_mm[3] - bounds_mm[1])
+    if not bounds_mm2 > 0:
+        return 0.0
+    cells = max(1.0, COLUMNS * ROWS * min(1.0, area_mm2 / bounds_mm2))
+    return 1.0 - (1.0 - 1.0 / cells) ** count
+
+
+def repeated_cell(panels: Sequence[tuple[float, Sequence[int]]], significance: float) -> tuple[int, int] | None:
     """The cell that more panels have hit than chance explains, and how many; None: there is none.
 
-    ``panels``: number of defects and cells hit of each. A panel with n random defects hits a given cell with
-    1 - (1 - 1/cells)^n; hits of all panels are taken for Poisson's, which scatters more than their sum does, and the
-    significance is shared by all cells. A cluster on one panel is one hit.
+    ``panels``: of each the chance to hit a given cell, and the cells hit. Hits of all panels are taken for Poisson's,
+    which scatters more than their sum does, and the significance is shared by all cells. A cluster on one panel is one
+    hit.
     """
     hits = np.bincount([cell for _, cells in panels for cell in cells], minlength=CELLS)
     cell = int(hits.argmax())
-    expected = sum(1.0 - (1.0 - 1.0 / (COLUMNS * ROWS)) ** count for count, _ in panels)
+    expected = sum(chance for chance, _ in panels)
     if hits[cell] < FEWEST_HITS or not expected > 0:
         return None
     return (cell, int(hits[cell])) if upper_tail(int(hits[cell]), expected) * CELLS < significance else None

@@ -19,14 +19,13 @@ class Seen:
     """What is kept of a panel of the window. ``expected``: defects by its recipe's baseline, None without one."""
 
     recipe_id: int
-    inspected: bool
     count: int = 0
     area_m2: float = 0.0
     expected: float | None = None
     heights_um: list[float] = field(default_factory=list)
     neighbours: Neighbours | None = None
-    placed: int = 0
-    """Defects whose place is known."""
+    cell_chance: float = 0.0
+    """How probable it was that a given cell is hit."""
     cells: tuple[int, ...] = ()
     bounds_mm: Bounds = (0.0, 0.0, 0.0, 0.0)
 
@@ -49,6 +48,9 @@ class Charts:
     alarms: dict[Rule, int] = field(default_factory=dict)
     """Rules that were broken, and for how many panels more each stands."""
     window: list[Seen] = field(default_factory=list)
+    """The last inspected panels: an outage, however long, does not empty it."""
+    inspected: list[bool] = field(default_factory=list)
+    """Of the last panels, whether each was."""
 
 
 @dataclass(slots=True)

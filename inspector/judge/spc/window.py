@@ -26,16 +26,10 @@ class Rate:
 
 def rate(window: Sequence[Seen]) -> Rate | None:
     """None without an inspected panel."""
-    inspected = [s for s in window if s.inspected]
-    if not inspected:
+    if not window:
         return None
-    count = sum(s.count for s in inspected)
-    return Rate(len(inspected), count / len(inspected), count / sum(s.area_m2 for s in inspected))
-
-
-def not_inspected_share(window: Sequence[Seen]) -> float:
-    """Share of panels that were not inspected; 0 of none."""
-    return sum(not s.inspected for s in window) / len(window) if window else 0.0
+    count = sum(s.count for s in window)
+    return Rate(len(window), count / len(window), count / sum(s.area_m2 for s in window))
 
 
 def ratio(window: Sequence[Seen], latest: int) -> float | None:
@@ -46,11 +40,10 @@ def ratio(window: Sequence[Seen], latest: int) -> float | None:
 
 def trend_of(window: Sequence[Seen], sigma_z: float, settings: StatisticsSettings) -> tuple[Trend, float | None]:
     """Where the rate goes, and its change in percent over PER_PANELS panels; by baselines if all panels have one."""
-    inspected = [s for s in window if s.inspected]
-    expected = [s.expected for s in inspected if s.expected is not None]
-    if len(expected) < len(inspected):
-        expected = [s.area_m2 for s in inspected]
-    found = trend.slope([s.count for s in inspected], expected, sigma_z)
+    expected = [s.expected for s in window if s.expected is not None]
+    if len(expected) < len(window):
+        expected = [s.area_m2 for s in window]
+    found = trend.slope([s.count for s in window], expected, sigma_z)
     if found is None:
         return Trend.UNKNOWN, None
     percent = found.per_panel * PER_PANELS * 100.0
@@ -72,9 +65,9 @@ def spread_of(window: Sequence[Seen], settings: StatisticsSettings) -> tuple[Spr
 def repeated(window: Sequence[Seen], latest: Seen, settings: StatisticsSettings) -> Place | None:
     """The place hit again and again on panels of the latest one's recipe and extent."""
     alike = [
-        (s.placed, s.cells)
+        (s.cell_chance, s.cells)
         for s in window
-        if s.placed and s.recipe_id == latest.recipe_id and s.bounds_mm == latest.bounds_mm
+        if s.cells and s.recipe_id == latest.recipe_id and s.bounds_mm == latest.bounds_mm
     ]
     found = spread.repeated_cell(alike, settings.significance)
     if found is None:
