@@ -220,9 +220,12 @@ class PlcServer:
             self._shell.start()
 
     def _refresh(self) -> None:
-        """Bring age, heartbeat and the stall up to date."""
-        with self._lock:
-            self._swap(self._snapshot)
+        """Bring age, heartbeat and the stall up to date. Who publishes just now does so too, and is not waited for."""
+        if self._lock.acquire(blocking=False):
+            try:
+                self._swap(self._snapshot)
+            finally:
+                self._lock.release()
 
     def _swap(self, snapshot: Snapshot) -> None:
         """Build the image aside and put it in place; only under the lock, so that an older one never follows."""

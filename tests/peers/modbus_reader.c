@@ -3,7 +3,7 @@
  * usage: modbus_reader HOST PORT FUNCTION ADDRESS COUNT READS      over TCP, or
  *        modbus_reader DEVICE UNIT FUNCTION ADDRESS COUNT READS    over a serial line, 9600 baud, where DEVICE has a /
  * stdout: READS * COUNT registers, 16 bit, in the machine's byte order
- * stderr: seconds taken, or what went wrong (exit status 1)
+ * stderr: seconds taken, then median, 99th percentile and longest read in us; or what went wrong (exit status 1)
  */
 #include <errno.h>
 #include <modbus.h>
@@ -16,6 +16,11 @@ static double seconds(void) {
     struct timespec now;
     clock_gettime(CLOCK_MONOTONIC, &now);
     return now.tv_sec + now.tv_nsec * 1e-9;
+}
+
+static int longer(const void *a, const void *b) {
+    double left = *(const double *)a, right = *(const double *)b;
+    return (left > right) - (left < right);
 }
 
 static int fail(const char *what) {
@@ -37,17 +42,25 @@ int main(int argc, char **argv) {
     if (modbus_connect(client) != 0) return fail("connect");
 
     uint16_t *words = malloc(sizeof *words * count * reads);
-    double start = seconds();
+    double *took = malloc(sizeof *took * reads);
+    double start = seconds(), before = start;
     for (long i = 0; i < reads; i++) {
         uint16_t *row = words + i * count;
         int got = function == 3 ? modbus_read_registers(client, address, count, row)
                                 : modbus_read_input_registers(client, address, count, row);
         if (got != count) return fail("read");
+        double now = seconds();
+        took[i] = now - before;
+        before = now;
     }
-    fprintf(stderr, "%.3f\n", seconds() - start);
+    double all = before - start;
+    qsort(took, reads, sizeof *took, longer);
+    fprintf(stderr, "%.4f %.1f %.1f %.1f\n", all, 1e6 * took[reads / 2], 1e6 * took[reads * 99 / 100],
+            1e6 * took[reads - 1]);
     fwrite(words, sizeof *words, count * reads, stdout);
     modbus_close(client);
     modbus_free(client);
     free(words);
+    free(took);
     return 0;
 }
