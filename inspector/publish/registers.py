@@ -206,6 +206,10 @@ def _area_rows(
 
 RESULT_REGISTERS = tuple(_area_rows(RESULT_ADDRESS, RESULT_FIELDS, "defect", FIRST_BLOCK_DEFECT, BLOCK_DEFECTS))
 LIST_REGISTERS = tuple(_area_rows(LIST_ADDRESS, LIST_FIELDS, "list_defect", FIRST_LIST_DEFECT, LIST_DEFECTS))
+_CONTROL_BITS = sum(bit.value for bit in Control)
+_CONTROL_RESERVED = set(range(CONTROL_WORDS)) - {
+    field.address + i for field in CONTROL_FIELDS for i in range(TYPES[field.type].words)
+}
 CONTROL_REGISTERS = tuple(_row(field, CONTROL_ADDRESS, field.name, field.meaning, "RW") for field in CONTROL_FIELDS)
 STATISTICS_REGISTERS = tuple(_row(field, STATISTICS_ADDRESS, field.name, field.meaning) for field in STATISTICS_FIELDS)
 REGISTERS = RESULT_REGISTERS + CONTROL_REGISTERS + LIST_REGISTERS + STATISTICS_REGISTERS
@@ -255,12 +259,11 @@ def encode(snapshot: Snapshot, now_s: float, heartbeat: int, word_order: WordOrd
 
 def decode_control(words: Sequence[int], word_order: WordOrder = "high_first") -> ControlBlock:
     """The whole control block's words decoded. Raises ValueError for a bit or a reserved word that means nothing."""
-    known = sum(bit.value for bit in Control)
-    reserved = set(range(CONTROL_WORDS)) - {f.address + i for f in CONTROL_FIELDS for i in range(TYPES[f.type].words)}
-    if words[0] & ~known or any(words[i] for i in reserved):
+    if words[0] & ~_CONTROL_BITS or any(words[i] for i in _CONTROL_RESERVED):
         raise ValueError("reserved bits and words of the control block are to be 0")
-    read = decode(words, CONTROL_ADDRESS, word_order)
-    bits, sequence, panel_id, command, argument = (int(read[field.name] or 0) for field in CONTROL_FIELDS)
+    rows = ((row, row.address - CONTROL_ADDRESS) for row in CONTROL_REGISTERS)
+    numbers = (int(_value(row, words[at : at + row.words], word_order) or 0) for row, at in rows)
+    bits, sequence, panel_id, command, argument = numbers
     return ControlBlock(Control(bits), sequence, panel_id, command, argument)
 
 

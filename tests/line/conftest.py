@@ -46,9 +46,7 @@ class Plc:
 
     def write(self, address: int, *words: int) -> int:
         """Write registers by function 16; the exception code, 0 if it was done."""
-        data = struct.pack(f">{len(words)}H", *words)
-        head = struct.pack(">HHHBBHHB", 1, 0, 7 + len(data), 1, 16, address, len(words), len(data))
-        self._socket.sendall(head + data)
+        self._socket.sendall(self.write_request(address, *words))
         answer = self._stream.read(8)
         if len(answer) < 8:
             raise ConnectionResetError
@@ -56,6 +54,18 @@ class Plc:
             return self._stream.read(1)[0]
         self._stream.read(4)
         return 0
+
+    @staticmethod
+    def write_request(address: int, *words: int) -> bytes:
+        """A whole request of function 16."""
+        data = struct.pack(f">{len(words)}H", *words)
+        return struct.pack(">HHHBBHHB", 1, 0, 7 + len(data), 1, 16, address, len(words), len(data)) + data
+
+    def reset(self, request: bytes = b"") -> None:
+        """Send these bytes and break the connection, without waiting for an answer."""
+        self._socket.sendall(request)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        self.close()
 
     def until(self, wait_until: Callable[..., Any], condition: Callable[[dict[str, Any]], Any], what: str) -> Any:
         """The first registers that the condition holds for."""
