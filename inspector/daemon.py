@@ -42,6 +42,9 @@ BEAT_S = 0.25
 IDLE_CHECK_S = 2.0
 """While the station waits, lamp and module are looked at this often, so that what is shown stays true."""
 
+INSPECTION_S = 1.5
+"""An inspection that takes longer hangs: the PLC is told before two seconds are over."""
+
 EXIT_STOPPED, EXIT_PORT_TAKEN, EXIT_SETTINGS_REFUSED = 0, 69, 78
 """Exit statuses, as sysexits.h names them: done, EX_UNAVAILABLE, EX_CONFIG (which no restart mends)."""
 
@@ -231,7 +234,7 @@ class Daemon:
         if one_by_one:
             self._show_changed(replace(self._snapshot, state=after(self._snapshot.state, Event.STARTED_SINGLE)))
         try:
-            turn = self._cycle.turn(self._counted(self._snapshot), self._trigger.glance)
+            turn = self._cycle.turn(self._counted(self._snapshot), self._taken)
         except NoTrigger:
             self._keep_ready()
             return
@@ -245,6 +248,11 @@ class Daemon:
         self._trigger.ended(time.monotonic(), self._cycle.resume_s(started_s))
         self._control.cycle_ended(self._awaits_plc)
         self._show_changed(self._counted(self._snapshot))
+
+    def _taken(self) -> None:
+        """The frame is there: what is left waits for no device, so that silence is soon a stall."""
+        self._server.beat(INSPECTION_S)
+        self._trigger.glance()
 
     def _obey(self) -> None:
         """Do what the PLC asks besides inspections."""

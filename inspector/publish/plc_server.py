@@ -106,6 +106,7 @@ class PlcServer:
         self._host, self._port, self._tls, self._tls_port = host, port, tls, tls.port if tls else 0
         self._access = Access(Networks(allow), Networks(allow_write), max_connections, idle_timeout_s)
         self.stall_after_s = stall_after_s
+        self._silence_s: float | None = None
         self._word_order: WordOrder = word_order
         self._snapshot = Snapshot()
         self._stalled = False
@@ -155,7 +156,7 @@ class PlcServer:
     def publish(self, snapshot: Snapshot) -> None:
         """Serve this from now on, whole. Counts as a beat."""
         with self._lock:
-            self._beat_s = time.monotonic()
+            self.beat()
             self._swap(snapshot)
 
     def show(self, snapshot: Snapshot) -> None:
@@ -168,9 +169,9 @@ class PlcServer:
         """Whether the cycle has stopped beating."""
         return self._stalled
 
-    def beat(self) -> None:
-        """The cycle is alive; to be called each turn."""
-        self._beat_s = time.monotonic()
+    def beat(self, silence_s: float | None = None) -> None:
+        """The cycle is alive; to be called each turn. The next one comes within ``silence_s``, or ``stall_after_s``."""
+        self._silence_s, self._beat_s = silence_s, time.monotonic()
 
     def renew_certificates(self) -> None:
         """Read the files of TLS again, for connections from now on. Raises PlcServerError; then the old ones hold."""
@@ -230,19 +231,20 @@ class PlcServer:
     def _swap(self, snapshot: Snapshot) -> None:
         """Build the image aside and put it in place; only under the lock, so that an older one never follows."""
         now_s = time.monotonic()
-        stalled = now_s - self._beat_s > self.stall_after_s
+        allowed_s = self._silence_s or self.stall_after_s
+        stalled = now_s - self._beat_s > allowed_s
         if stalled is not self._stalled:
-            self._note_stall(stalled)
+            self._note_stall(stalled, allowed_s)
         shown = as_stalled(snapshot) if stalled else snapshot
         image = encode_image(shown, now_s, int(now_s - self._started_s), self._word_order)
         self._registers.show(image)
         self._direct.show(image)
         self._snapshot = snapshot
 
-    def _note_stall(self, stalled: bool) -> None:
+    def _note_stall(self, stalled: bool, allowed_s: float) -> None:
         self._stalled = stalled
         if stalled:
-            log.error("Inspection cycle has not turned for %g s: the PLC is told", self.stall_after_s)
+            log.error("Inspection cycle has not turned for %g s: the PLC is told", allowed_s)
         else:
             log.info("Inspection cycle turns again")
 

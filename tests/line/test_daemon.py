@@ -130,6 +130,9 @@ class Bench:
             said = self.says.get(frame.frame_id, Verdict.PASS)
             if isinstance(said, Exception):
                 raise said
+            if isinstance(said, threading.Event):
+                said.wait(60)
+                said = Verdict.PASS
             return said if isinstance(said, FrameResult) else FrameResult(frame.name, said)
 
         return inspect
@@ -258,6 +261,20 @@ def test_reload_lets_the_cycle_be_silent_for_as_long_as_the_new_devices_may(
     at_work.station.settings["camera"]["deadline_s"] = 60
     reload(at_work)
     wait_until(lambda: at_work.daemon.stall_after_s > 60 > before_s, "a longer silence is allowed")
+
+
+def test_an_inspection_that_hangs_is_told_long_before_a_device_would_be(
+    bench: Callable[..., Bench], shown: Callable[..., Any]
+) -> None:
+    """The camera may keep the cycle silent for a minute; an inspection may not."""
+    at_work, goes_on = bench(camera={"kind": "replay", "paths": ["frames"], "deadline_s": 50}), threading.Event()
+    at_work.says[1] = goes_on
+    assert at_work.daemon.stall_after_s > 50
+    at_work.camera.permits.release()
+    told = shown(at_work, lambda r: r["fault_code"] == Fault.CYCLE_STALLED, "the stall")
+    assert (told["state"], told["verdict"]) == (State.ERROR, Verdict.NOT_INSPECTED)
+    goes_on.set()
+    shown(at_work, lambda r: r["sequence"] == 1 and r["verdict"] == Verdict.PASS, "the result after all")
 
 
 def reload(bench: Bench) -> None:
