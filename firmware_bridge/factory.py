@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from firmware_bridge.camera_settings import (
+    NOMINAL_EXPOSURE_US,
+    CameraSettings,
+    GenicamCameraSettings,
+    ReplaySettings,
+    SerialCcdCameraSettings,
+    SimulatedCameraSettings,
+)
 from firmware_bridge.contracts import Camera, DigitalIO, Lamp
+from firmware_bridge.drivers.faulty_camera import FaultyCamera
 from firmware_bridge.drivers.lamp import FostecLamp
 from firmware_bridge.drivers.modbus_module import ModbusModule
 from firmware_bridge.drivers.replay_camera import ReplayCamera
 from firmware_bridge.drivers.serial_ccd_camera import Head, SerialCcdCamera
+from firmware_bridge.drivers.simulated_camera import SimulatedCamera
 from firmware_bridge.links.frame_sources import RawSource
 from firmware_bridge.links.modbus_master import ModbusMaster
 from firmware_bridge.links.ports import Port, open_serial, open_tcp_unit
 from firmware_bridge.links.serial_line import CommandLine
 from firmware_bridge.links.simulated import open_simulated
 from firmware_bridge.links.v4l2 import V4l2Source
-from firmware_bridge.settings import (
-    CameraSettings,
-    GenicamCameraSettings,
-    LampSettings,
-    ModuleSettings,
-    SerialCcdCameraSettings,
-    SerialLink,
-    TcpLink,
-)
+from firmware_bridge.settings import LampSettings, ModuleSettings, SerialLink, TcpLink
+from firmware_bridge.simulators.ccd_state import Sensor, draw_spots
 
 if TYPE_CHECKING:  # loaded for stations with such a camera alone
     from firmware_bridge.drivers.genicam_camera import GenicamCamera
@@ -44,16 +47,31 @@ class Devices:
 def build(camera: CameraSettings, module: ModuleSettings, lamp: LampSettings) -> Devices:
     """The devices that the settings name. Touches nothing."""
     io = build_module(module, [lamp.channel])
-    return Devices(build_camera(camera), FostecLamp(io, lamp), io)
+    bulb = FostecLamp(io, lamp)
+    return Devices(build_camera(camera, lambda: bulb.lit_share), bulb, io)
 
 
-def build_camera(settings: CameraSettings) -> Camera:
-    """The camera that the settings name."""
+def build_camera(settings: CameraSettings, lit_share: Callable[[], float] = lambda: 1.0) -> Camera:
+    """The camera that the settings name; a simulated one sees the share of the lamp's light that ``lit_share`` says."""
     if isinstance(settings, SerialCcdCameraSettings):
         return build_serial_ccd(settings)
     if isinstance(settings, GenicamCameraSettings):
         return build_genicam(settings)
+    camera = build_simulated(settings, lit_share) if settings.kind == "simulated" else build_replay(settings)
+    return FaultyCamera(camera, settings.faults) if settings.faults else camera
+
+
+def build_replay(settings: ReplaySettings) -> ReplayCamera:
+    """The recording that the settings name."""
     return ReplayCamera(settings.paths, rate_hz=settings.rate_hz, loop=settings.loop, deadline_s=settings.deadline_s)
+
+
+def build_simulated(settings: SimulatedCameraSettings, lit_share: Callable[[], float]) -> SimulatedCamera:
+    """The drawn scene that the settings describe."""
+    spots, width_px, height_px = settings.spots, settings.width_px, settings.height_px
+    scene = draw_spots(width_px, height_px, spots, settings.panel_share, NOMINAL_EXPOSURE_US)
+    sensor = Sensor(scene, settings.bits, noise_share=settings.noise_share)
+    return SimulatedCamera(sensor, lit_share, rate_hz=settings.rate_hz, deadline_s=settings.deadline_s)
 
 
 def build_serial_ccd(settings: SerialCcdCameraSettings, device: str = "camera") -> SerialCcdCamera:

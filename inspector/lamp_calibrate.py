@@ -18,6 +18,8 @@ from inspector.model import Frame
 CLIPPED_SHARE = 0.98
 """A reference this near full scale, in any pixel, is clipped, and says too little."""
 DEFAULT_FILE = "lamp-curve.yaml"
+SPOTS_SHARE = 0.001
+"""Where no reference patch is named, the whole frame is the reference: so much of it may be spots, which clip."""
 
 
 def run(
@@ -89,7 +91,8 @@ def _reference_dn(frame: Frame, station: Bench, full_dn: float) -> float:
     settings, (height, width) = station.settings.light, frame.image.shape
     patch = settings.patch if settings else light.Patch(x_px=0, y_px=0, width_px=width, height_px=height)
     part = light.inner(frame.image, patch)
-    if settings and part.size and part.max() >= CLIPPED_SHARE * full_dn:
+    clipped = np.count_nonzero(part >= CLIPPED_SHARE * full_dn)
+    if clipped > (0 if settings else SPOTS_SHARE * part.size):
         raise NotPossible(f"the reference is clipped at {int(part.max())} DN: shorten recipe.exposure_us for this")
     return light.patch_mean_dn(frame.image, patch)
 

@@ -46,12 +46,12 @@ def highlights(seeds: FloatArray, calibration: Calibration) -> tuple[FloatArray,
     camera, light = calibration.camera, calibration.light
     centre = seeds[:, (0, 1, 3)]
     eye = camera.centre_mm
-    direct = _surface_point(centre, seeds[:, 2], light, eye)
-    mirror = _surface_point(centre, seeds[:, 2], light, eye * MIRROR)
+    direct = surface_point(centre, seeds[:, 2], light, eye)
+    mirror = surface_point(centre, seeds[:, 2], light, eye * MIRROR)
     return camera.project(direct), camera.project(mirror * MIRROR)
 
 
-def _surface_point(centre: FloatArray, radius: FloatArray, light: Light, eye: FloatArray) -> FloatArray:
+def surface_point(centre: FloatArray, radius: FloatArray, light: Light, eye: FloatArray) -> FloatArray:
     """The point (n, 3) of each sphere whose normal bisects lamp and eye."""
     point = centre
     for _ in range(MOST_ROUNDS):

@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field, PositiveFloat
 
 from firmware_bridge import settings as bridge
+from firmware_bridge.camera_settings import CameraSettings
 from inspector import lamp_curve_file, recipe_folder, recipe_proof, yaml_document
 from inspector.acquire.light import LightSettings
 from inspector.calibration_file import CalibrationError
@@ -124,7 +125,7 @@ class Settings(Strict):
     """Name shown to people."""
     calibration: Path
     """Calibration file, made by `inspector calibrate`."""
-    camera: bridge.CameraSettings
+    camera: CameraSettings
     """Where frames come from."""
     module: bridge.ModuleSettings
     """The I/O module that sets the lamp's level."""
@@ -200,7 +201,18 @@ def load(path: Path) -> Settings:
         problems += (*_patch_problems(document, settings, path.parent), *_tls_problems(document, settings, path.parent))
     if settings is None or problems:
         raise SettingsError(problems)
-    return settings.under(path.parent)
+    return _drawn(settings.under(path.parent))
+
+
+def _drawn(settings: Settings) -> Settings:
+    """The same settings; a simulated camera that is asked for seeds is told where their highlights are."""
+    camera = settings.camera
+    if camera.kind != "simulated" or not camera.seeds:
+        return settings
+    from inspector import simulated_scene
+
+    seen = simulated_scene.highlights(camera.seeds, camera.seed_share, read_calibration(settings.calibration))
+    return settings.model_copy(update={"camera": camera.model_copy(update={"spots": camera.spots + seen})})
 
 
 def check(path: Path) -> Settings:

@@ -27,6 +27,12 @@ class FostecLamp:
         self._module, self._settings, self._device = module, settings, device
         self._burnt = BurnHours(settings.hours_file, clock)
         self._set_v: float | None = None
+        self._stands_v = 0.0
+
+    @property
+    def lit_share(self) -> float:
+        """The light at the level last read back, as a share of the full intensity; nothing is asked of the module."""
+        return self._settings.percent(self._stands_v) / 100
 
     def open(self) -> None:
         """Open the module. The level stays as it is until it is set."""
@@ -38,6 +44,7 @@ class FostecLamp:
         with contextlib.suppress(BridgeError):
             self._module.write_volts(self._settings.channel, 0.0)
         self._burnt.level(0.0)
+        self._stands_v = 0.0
         self._module.close()
 
     def set_volts(self, volts: float) -> float:
@@ -60,6 +67,7 @@ class FostecLamp:
         """See the contract."""
         read_back_v = self._module.read_volts(self._settings.channel)
         self._burnt.level(read_back_v)
+        self._stands_v = read_back_v
         return read_back_v
 
     def keep_alive(self) -> None:

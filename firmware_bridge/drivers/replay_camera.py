@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
 from firmware_bridge.contracts import CameraCapabilities, CameraFrame
-from firmware_bridge.errors import BridgeError, DeviceGone, EndOfRecording, NoReply, OutOfRange, ReplyWrong
+from firmware_bridge.drivers.pace import Pace
+from firmware_bridge.errors import BridgeError, DeviceGone, EndOfRecording, OutOfRange, ReplyWrong
 from firmware_bridge.wire import image
 
 SUFFIXES = frozenset({".png", ".tif", ".tiff", ".bmp", ".pgm", ".npy"})
@@ -40,25 +39,21 @@ class ReplayCamera:
         device: str = "camera",
     ) -> None:
         self._paths, self._device = tuple(paths), device
-        self._period_s, self._loop, self._deadline_s = (1 / rate_hz if rate_hz else 0.0), loop, deadline_s
+        self._loop, self._pace = loop, Pace(rate_hz, deadline_s, device)
         self._files: list[Path] = []
         self._position = 0
         self._taken = 0
-        self._due_s = 0.0
         self._exposure_us: float | None = None
         self._shape: tuple[int, int] | None = None
-        self._closed = threading.Event()
-        self._closed.set()
 
     def open(self) -> None:
         """List the files. Raises DeviceGone if a path is missing or no frames are found."""
         self._files = self._listed()
-        self._due_s = time.monotonic()
-        self._closed.clear()
+        self._pace.start()
 
     def close(self) -> None:
         """Stop showing frames; a grab that waits in another thread ends at once. May be called twice."""
-        self._closed.set()
+        self._pace.stop()
 
     def capabilities(self) -> CameraCapabilities:
         """See the contract; the shape is that of the last frame."""
@@ -75,7 +70,7 @@ class ReplayCamera:
 
     def grab(self) -> CameraFrame:
         """See the contract. Raises EndOfRecording after the last frame, unless it loops."""
-        self._wait_until_due()
+        self._pace.wait()
         path = self._next_file()
         self._taken += 1
         frame_id, taken_at_s = self._taken, time.time()
@@ -87,17 +82,6 @@ class ReplayCamera:
             raise ReplyWrong(self._device, f"{path} {error}") from error  # its words end in what to do
         self._shape = (grey.shape[0], grey.shape[1])
         return CameraFrame(grey, frame_id, str(path), self._exposure_us, taken_at_s)
-
-    def _wait_until_due(self) -> None:
-        """Wait for the next tick of the rate; ticks that passed while nobody asked are not made up for."""
-        wait_s = self._due_s - time.monotonic()
-        if self._closed.wait(min(wait_s, self._deadline_s) if wait_s > 0 else 0):
-            raise DeviceGone(self._device, "closed", "open it first")
-        if wait_s > self._deadline_s:
-            raise NoReply(self._device, f"no frame in {self._deadline_s:g} s", "raise rate_hz or deadline_s")
-        if self._period_s:
-            ticks = math.floor((time.monotonic() - self._due_s) / self._period_s) + 1
-            self._due_s += max(ticks, 1) * self._period_s
 
     def _next_file(self) -> Path:
         if self._position >= len(self._files):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import threading
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -10,6 +12,8 @@ import numpy.typing as npt
 from firmware_bridge.wire.ccd_dialects import Answer, Command, Dialect, Verdict
 
 FACTORY_EXPOSURE_US = 10_000.0
+SPOT_SIGMA_PX = 0.8
+"""How far a lens spreads a point of light."""
 
 Scene = npt.NDArray[np.float32]
 
@@ -97,16 +101,39 @@ def draw(width_px: int, height_px: int, seed: int = 1) -> Scene:
     return np.asarray(scene, np.float32)
 
 
+def draw_spots(
+    width_px: int, height_px: int, spots: Sequence[tuple[float, float, float]], floor: float, exposure_us: float
+) -> Scene:
+    """Spots (x_px, y_px, peak) over an even floor. Shape (height_px, width_px), shares of full scale as :func:`draw`'s.
+
+    Peaks and floor are shares of full scale at ``exposure_us``. Each spot is a Gaussian integrated over its pixels.
+    """
+    scene = np.full((height_px, width_px), floor, np.float64)
+    for x_px, y_px, peak in spots:
+        across, down = _profile(width_px, x_px), _profile(height_px, y_px)
+        scene += peak * 2 * np.pi * SPOT_SIGMA_PX**2 * down[:, None] * across
+    return np.asarray(scene * (FACTORY_EXPOSURE_US / exposure_us), np.float32)
+
+
+def _profile(length: int, at_px: float) -> npt.NDArray[np.float64]:
+    """Share of a Gaussian's light that falls on each of ``length`` pixels."""
+    edges = (np.arange(length + 1) - 0.5 - at_px) / (math.sqrt(2) * SPOT_SIGMA_PX)
+    return np.diff([math.erf(edge) for edge in edges]) / 2
+
+
 class Sensor:
     """Turns a scene into frames: linear in exposure, with noise that is new in each, full at full scale."""
 
-    NOISE_SHARE = 0.002
-
-    def __init__(self, scene: Scene, bits: int, seed: int = 1) -> None:
+    def __init__(self, scene: Scene, bits: int, seed: int = 1, noise_share: float = 0.002) -> None:
         self._scene, self._full_scale = scene, 2**bits - 1
         self._random = np.random.default_rng(seed)
         # Drawn once: a frame takes a piece of it elsewhere each time, which costs nothing.
-        self._noise = self._random.normal(0, self.NOISE_SHARE, 2 * scene.size).astype(np.float32)
+        self._noise = self._random.normal(0, noise_share, 2 * scene.size).astype(np.float32)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self._scene.shape[0], self._scene.shape[1]
 
     def take(self, exposure_us: float) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
         """A frame (H, W), uint8 or uint16."""

@@ -17,9 +17,9 @@ import pytest
 from pydantic import TypeAdapter
 
 from firmware_bridge import errors
+from firmware_bridge.camera_settings import CameraSettings
 from firmware_bridge.contracts import Camera, CameraFrame
 from firmware_bridge.factory import build_camera
-from firmware_bridge.settings import CameraSettings
 from firmware_bridge.simulators.ccd_server import CcdServer
 from firmware_bridge.simulators.ccd_state import SimulatedCcdHead
 from firmware_bridge.wire.ccd_dialects import DIALECTS
@@ -60,6 +60,7 @@ RIGS: dict[str, tuple[str, Rig]] = {
     "replay": ("replay", _replay),
     "serial_ccd-dalsa": ("serial_ccd", _serial_ccd("dalsa")),
     "serial_ccd-jai": ("serial_ccd", _serial_ccd("jai")),
+    "simulated": ("simulated", lambda *_: {"kind": "simulated", "rate_hz": 200}),
     "genicam": ("genicam", _genicam("gige_camera.xml")),
     "genicam-older": ("genicam", _genicam("-")),
 }
@@ -151,4 +152,4 @@ def test_reopening_leaves_nothing_behind(camera: Camera, wait_until: Any) -> Non
 
 
 def test_it_says_whether_it_shows_the_line(camera: Camera, request: pytest.FixtureRequest) -> None:
-    assert camera.simulated == request.node.callspec.params["camera"].startswith("replay")
+    assert camera.simulated == (request.node.callspec.params["camera"] in ("replay", "simulated"))

@@ -8,10 +8,11 @@ from typing import Any
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
+from firmware_bridge.camera_settings import CameraSettings
 from firmware_bridge.drivers.lamp import FostecLamp
 from firmware_bridge.drivers.replay_camera import ReplayCamera
 from firmware_bridge.factory import build
-from firmware_bridge.settings import CameraSettings, LampSettings, ModuleSettings, Strict, conflicts
+from firmware_bridge.settings import LampSettings, ModuleSettings, Strict, conflicts
 from firmware_bridge.wire.profiles import PROFILES
 
 SERIAL = {"kind": "serial", "port": "/dev/serial/by-id/adapter"}

@@ -15,9 +15,9 @@ import pytest
 from pydantic import TypeAdapter
 
 from firmware_bridge import errors
+from firmware_bridge.camera_settings import CameraSettings
 from firmware_bridge.factory import build_camera
 from firmware_bridge.links import v4l2
-from firmware_bridge.settings import CameraSettings
 
 PEERS = Path(__file__).parents[1] / "peers"
 SHAPE = {"width_px": 64, "height_px": 48}

@@ -17,12 +17,12 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from firmware_bridge import errors
+from firmware_bridge.camera_settings import CameraSettings
 from firmware_bridge.contracts import CameraFrame
 from firmware_bridge.drivers.genicam_camera import GenicamCamera
 from firmware_bridge.drivers.genicam_features import Region, Wanted
 from firmware_bridge.factory import build_camera
 from firmware_bridge.links import aravis_library
-from firmware_bridge.settings import CameraSettings
 from firmware_bridge.wire.pixel_formats import FORMATS
 
 SFNC, OLDER = "gige_camera.xml", "-"

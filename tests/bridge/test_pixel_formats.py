@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_bridge.settings import GenicamCameraSettings
+from firmware_bridge.camera_settings import GenicamCameraSettings
 from firmware_bridge.wire.image import ImageWrong
 from firmware_bridge.wire.pixel_formats import FORMATS, unpack
 

@@ -14,8 +14,8 @@ import pytest
 from pydantic import TypeAdapter
 
 from firmware_bridge import errors
+from firmware_bridge.camera_settings import CameraSettings
 from firmware_bridge.factory import build_camera
-from firmware_bridge.settings import CameraSettings
 from firmware_bridge.simulators.ccd_frames import FrameFault
 from firmware_bridge.simulators.ccd_server import CcdServer, LineFault
 from firmware_bridge.simulators.ccd_state import SimulatedCcdHead

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from firmware_bridge.settings import CameraSettings
+from firmware_bridge.camera_settings import CameraSettings
 
 REFUSED_SETTINGS = [
     ({"dialect": "sony"}, "dialect"),

@@ -15,8 +15,9 @@ from typing import Any
 import pytest
 
 from firmware_bridge import errors
+from firmware_bridge.camera_settings import ReplaySettings
 from firmware_bridge.factory import build
-from firmware_bridge.settings import LampSettings, ModuleSettings, ReplaySettings
+from firmware_bridge.settings import LampSettings, ModuleSettings
 from firmware_bridge.wire.modbus import Table
 from firmware_bridge.wire.profiles import PROFILES
 

@@ -14,9 +14,9 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from firmware_bridge import errors
+from firmware_bridge.camera_settings import CameraSettings
 from firmware_bridge.contracts import Camera
 from firmware_bridge.factory import build_camera
-from firmware_bridge.settings import CameraSettings
 from firmware_bridge.simulators.ccd_server import CcdServer
 from firmware_bridge.simulators.ccd_state import SimulatedCcdHead
 from firmware_bridge.wire.ccd_dialects import DIALECTS
