@@ -251,8 +251,8 @@ class Daemon:
 
     def _taken(self) -> None:
         """The frame is there: what is left waits for no device, so that silence is soon a stall."""
-        self._server.beat(INSPECTION_S)
         self._trigger.glance()
+        self._server.beat(INSPECTION_S)
 
     def _obey(self) -> None:
         """Do what the PLC asks besides inspections."""

@@ -108,6 +108,12 @@ through a gateway. Levels are rounded down to the module's step, and nothing abo
 
 {notes}
 
+## Digital inputs
+
+Inputs are asked for, again and again: a pulse that is shorter than the time between two looks leaves no trace, and
+while a panel is inspected there is one look only. No manual at hand says that a module of the table counts or latches
+pulses where Modbus could read them. Signals shorter than a cycle belong on the camera's own line, where none is missed.
+
 ## At the cabinet
 
     inspector io list  --config FILE            the module's points, without touching it
