@@ -56,6 +56,11 @@ void reflection_direction(const Scene *scene, const Ray *ray, double toward[2]) 
     for (int m = 0; m < 2; m++) toward[m] = dot(ray->across[m], apart) / reach;
 }
 
+void reflection_lift(const Scene *scene, const Ray *ray, double lift[2]) {
+    double reach = ray->along[2] < 0 ? -scene->eye[2] / ray->along[2] : NAN;
+    for (int m = 0; m < 2; m++) lift[m] = -2 * dot(ray->across[m], UP) / reach;
+}
+
 void reflection_directions(const Scene *scene, i64 n, const Ray *rays, double *toward) {
     for (i64 i = 0; i < n; i++) reflection_direction(scene, rays + i, toward + 2 * i);
 }
@@ -108,8 +113,8 @@ static void add_equations(const Scene *scene, View *v, const double *origin, dou
     }
 }
 
-static double chi2_of(const View *v, const double *theta) {
-    double r[2];
+/* The spot's misfit r in pixels, as the model has it less as it is seen, and its chi2. */
+static double chi2_of(const View *v, const double *theta, double r[2]) {
     for (int m = 0; m < 2; m++) r[m] = dot(v->rows[m], theta) - v->seen[m];
     return r[0] * (v->weight[0] * r[0] + v->weight[1] * r[1]) + r[1] * (v->weight[2] * r[0] + v->weight[3] * r[1]);
 }
@@ -136,9 +141,22 @@ void reflection_solve(const Scene *scene, const Ray *direct, const Ray *mirror, 
             moved = fmax(moved, fabs(views[s].reach - before));
         }
     }
-    seed->chi2 = chi2_of(&views[0], seed->theta) + chi2_of(&views[1], seed->theta);
+    double direct_off[2], mirror_off[2];
+    seed->chi2 = chi2_of(&views[0], seed->theta, direct_off) + chi2_of(&views[1], seed->theta, mirror_off);
+    for (int m = 0; m < 2; m++) seed->off[m] = direct_off[m] - mirror_off[m];
     for (int k = 0; k < 2; k++) seed->theta[k] += origin[k];
     for (int k = 0; k < 3; k++) seed->direct_normal[k] = views[0].normal[k], seed->mirror_normal[k] = views[1].normal[k];
+}
+
+static const double SUNK_CENTRE = 0.5;      /* height of a sunk seed's centre over its radius, in the middle of 0.3 to 0.9 */
+
+/* What share of the height c + R is missed when a seed with its centre so low is taken to rest. In the limit of small R the
+ * spots are R shine + c lift apart; what of that lies along the resting direction, R (shine + lift), is taken for R. */
+static double sunk_share(const Scene *scene, const Ray *ray) {
+    double toward[2], lift[2];
+    reflection_direction(scene, ray, toward), reflection_lift(scene, ray, lift);
+    double along = (lift[0] * toward[0] + lift[1] * toward[1]) / (toward[0] * toward[0] + toward[1] * toward[1]);
+    return 1 - 2 * (1 - along + SUNK_CENTRE * along) / (1 + SUNK_CENTRE);
 }
 
 /* Seeds of n pairs: indices into rays and covariances (4 each, px^2). */
@@ -149,5 +167,6 @@ void reflection_seeds(const Scene *scene, i64 n, const i64 *direct, const i64 *m
         invert_2x2(covariance + 4 * direct[i], weight[0]);
         invert_2x2(covariance + 4 * mirror[i], weight[1]);
         reflection_solve(scene, rays + direct[i], rays + mirror[i], weight[0], weight[1], seeds + i);
+        seeds[i].sunk_share = sunk_share(scene, rays + direct[i]);
     }
 }

@@ -14,8 +14,10 @@ typedef struct {      /* a pixel's viewing ray: unit direction, and what turns m
     double along[3], across[2][3];
 } Ray;
 
-typedef struct {      /* place and radius (mm) with their covariance, the spare equation's chi2, the normals at the spots */
-    double theta[3], covariance[9], chi2, direct_normal[3], mirror_normal[3];
+typedef struct {      /* place and radius (mm) with their covariance, the spare equation's chi2, the normals at the spots,
+                       * how far the mirror spot is seen from where it should be of the direct one, px, and what share of
+                       * its height a sunk seed would be read low by (reflection_seeds alone says that) */
+    double theta[3], covariance[9], chi2, direct_normal[3], mirror_normal[3], off[2], sunk_share;
 } Seed;
 
 /* Rays of n pixels (n, 2); their derivatives from directions a step (px) to the right and below. */
@@ -23,6 +25,9 @@ void reflection_rays(const Camera *camera, i64 n, const double *xy, double step,
 
 /* Pixels from direct to mirror spot of a small seed at the ray's foot, per mm of radius. NaN where there is no foot. */
 void reflection_direction(const Scene *scene, const Ray *ray, double toward[2]);
+
+/* How the mirror spot moves against the direct one, px, per mm by which a seed's centre is higher at the ray's foot. */
+void reflection_lift(const Scene *scene, const Ray *ray, double lift[2]);
 
 /* The resting seed that explains two rays best; `weight` are the inverse covariances of their pixels (symmetric 2 x 2). */
 void reflection_solve(const Scene *scene, const Ray *direct, const Ray *mirror, const double direct_weight[4],

@@ -162,7 +162,7 @@ class Defect:
     residual_sigma: float | None = None
     """Residual of the pair's redundant equation over its uncertainty; None if the method has none."""
     sunk_bias_um: float | None = None
-    """How much a seed sunk in the paint may read low; apart from ``height_sigma_um``; None if the method has none."""
+    """How far off a seed sunk to half its radius is read; apart from ``height_sigma_um``; None: the method has none."""
     place_sigma_mm: float | None = None
     """Standard deviation of its place, of the larger of x and y; None if the method has none."""
 

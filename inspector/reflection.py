@@ -28,7 +28,7 @@ MOST_ROUNDS, SETTLED_MM = 200, 1e-12
 """Fixed-point rounds of the forward model: each wins three digits, fewer where the lamp glares into the camera."""
 STEP_PX = 0.1
 """Step of the rays' forward differences."""
-RAY, _SEED = 9, 19
+RAY, _SEED = 9, 22
 """Doubles in a `Ray` and a `Seed` of `_reflection.h`."""
 _SCENE = struct.Struct("6dq")
 _rays = native.function("inspector._reflection", "reflection_rays", "pipdp")
@@ -96,7 +96,7 @@ class Seeds:
     """Seeds that explain n pairs of pixels best.
 
     ``x_mm``, ``y_mm``, ``radius_mm`` (n,); ``covariance`` (n, 3, 3) of the three; ``chi2`` (n,) of the one spare
-    equation.
+    equation; ``sunk_share`` (n,) the share of its height that a seed sunk to half its radius is read low by.
     """
 
     x_mm: FloatArray
@@ -104,6 +104,7 @@ class Seeds:
     radius_mm: FloatArray
     covariance: FloatArray
     chi2: FloatArray
+    sunk_share: FloatArray
 
 
 def solve(
@@ -119,4 +120,4 @@ def solve(
     _seeds(
         scene(calibration), n, direct.tobytes(), mirror.tobytes(), found.tobytes(), covariance_px2.tobytes(), out(seeds)
     )
-    return Seeds(seeds[:, 0], seeds[:, 1], seeds[:, 2], seeds[:, 3:12].reshape(n, 3, 3), seeds[:, 12])
+    return Seeds(seeds[:, 0], seeds[:, 1], seeds[:, 2], seeds[:, 3:12].reshape(n, 3, 3), seeds[:, 12], seeds[:, 21])

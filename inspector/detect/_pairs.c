@@ -1,8 +1,11 @@
 /* Candidate pairs of one frame, sieved and scored: the loops of pairs.py, which says what each number means. */
 #include "../_reflection.h"
 
+static const double PI = 3.14159265358979323846;
+
 typedef struct {
     double largest_radius_mm, bend_share, bend_px, model_share, worth, ratio_sigma, paint_index;
+    double sunk_share, least_share, usual_radius_mm, radius_scatter, chance_ratio_sigma, least_odds, spots_a_px2;
 } Rules;
 
 typedef struct {      /* the frame's spots, n of each: pixels (n, 2), their covariance (n, 4), flux, sigma of log flux */
@@ -29,22 +32,40 @@ static double expected_ratio(const Ray *direct, const Ray *mirror, const Seed *s
     return fresnel(fabs(dot(direct->along, seed->direct_normal)), index) / (sphere * paint);
 }
 
-/* Inverse of a spot's covariance with the model's own variance added. */
-static void weigh(const Spots *spots, i64 i, double model, double weight[4]) {
-    const double *c = spots->covariance + 4 * i;
-    double sum[4] = {c[0] + model, c[1], c[2], c[3] + model};
-    invert_2x2(sum, weight);
+static double squared(double x) { return x * x; }
+static double log_normal(double x, double variance) { return -0.5 * (x * x / variance + log(2 * PI * variance)); }
+static double below(double x) { return 0.5 * erfc(-x / sqrt(2)); }
+
+/* Log of the density, per pixel, of a true pair's mirror spot so far beside the line of resting seeds, `off` px with that
+ * variance. A sunk seed's lies up to `sunk_px` to one side: its centre is between least_share and all of a radius high. */
+static double log_beside(const Rules *u, double off, double variance, double sunk_px) {
+    double rests = exp(log_normal(off, variance)), sigma = sqrt(variance), span = (1 - u->least_share) * sunk_px;
+    double a = off / sigma, b = (off - span) / sigma;
+    double sunk = fabs(span) > 0.1 * sigma ? (below(a) - below(b)) / span : rests;
+    return log((1 - u->sunk_share) * rests + u->sunk_share * fabs(sunk));
 }
 
-static Score score(const Scene *scene, const Rules *u, const Spots *spots, i64 a, i64 b, double along_px) {
-    double weight[2][4], model = u->model_share * along_px * (u->model_share * along_px);
+/* What a couple costs: the log odds that chance put the second spot there, of such a brightness, against a seed's. */
+static Score score(const Scene *scene, const Rules *u, const Spots *spots, i64 a, i64 b, const double toward[2], double along_px) {
+    const double *ca = spots->covariance + 4 * a, *cb = spots->covariance + 4 * b;
+    double weight[2][4], scale = hypot(toward[0], toward[1]), across[2] = {-toward[1] / scale, toward[0] / scale};
+    const Ray *ray = spots->rays + a;
     Seed seed;
-    weigh(spots, a, model, weight[0]), weigh(spots, b, model, weight[1]);
-    reflection_solve(scene, spots->rays + a, spots->rays + b, weight[0], weight[1], &seed);
-    double sa = spots->flux_sigma[a], sb = spots->flux_sigma[b], radius = seed.theta[2];
-    double ratio = log(spots->flux[a] / spots->flux[b] / expected_ratio(spots->rays + a, spots->rays + b, &seed, u->paint_index));
-    double cost = seed.chi2 / 2 + ratio * ratio / (2 * (u->ratio_sigma * u->ratio_sigma + sa * sa + sb * sb));
-    return (Score){cost, radius, log(spots->flux[a] / (radius * radius))};
+    invert_2x2(ca, weight[0]), invert_2x2(cb, weight[1]);
+    reflection_solve(scene, ray, spots->rays + b, weight[0], weight[1], &seed);
+    double radius = seed.theta[2], off = across[0] * seed.off[0] + across[1] * seed.off[1];
+    double variance = squared(u->model_share * along_px);
+    for (int m = 0; m < 4; m++) variance += across[m / 2] * across[m % 2] * (ca[m] + cb[m]);
+    double lift[2];
+    reflection_lift(scene, ray, lift);
+    double sunk_px = -radius * (across[0] * lift[0] + across[1] * lift[1]);
+    double beside = log_beside(u, off, variance, sunk_px);
+    double along = log_normal(log(radius / u->usual_radius_mm), squared(u->radius_scatter)) - log(along_px);
+    double sa = spots->flux_sigma[a], sb = spots->flux_sigma[b], noise = sa * sa + sb * sb;
+    double ratio = log(spots->flux[a] / spots->flux[b] / expected_ratio(ray, spots->rays + b, &seed, u->paint_index));
+    double bright = log_normal(ratio, squared(u->ratio_sigma) + noise) - log_normal(ratio, squared(u->chance_ratio_sigma) + noise);
+    double odds = beside + along + bright - log(u->spots_a_px2);
+    return (Score){u->worth + u->least_odds - odds, radius, log(spots->flux[a] / (radius * radius))};
 }
 
 /* All ordered couples among the m `able` spots that lie along the direction from direct to mirror spot and fit the model
@@ -64,7 +85,7 @@ i64 pairs_candidates(const Scene *scene, const Rules *u, i64 m, const i64 *able,
             double x = xy[2 * b] - xy[2 * a], y = xy[2 * b + 1] - xy[2 * a + 1];
             double along = (x * toward[0] + y * toward[1]) / scale, beside = fabs(y * toward[0] - x * toward[1]) / scale;
             if (!(along > 0.5 && along < u->largest_radius_mm * scale && beside < u->bend_px + u->bend_share * along)) continue;
-            Score found = score(scene, u, &spots, a, b, along);
+            Score found = score(scene, u, &spots, a, b, toward, along);
             if (!(found.radius_mm > 0 && found.radius_mm < u->largest_radius_mm && found.cost < u->worth)) continue;
             if (count < most) direct[count] = a, mirror[count] = b, scores[count] = found;
             count++;

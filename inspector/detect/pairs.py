@@ -12,6 +12,7 @@ import struct
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import log
 
 import numpy as np
 import numpy.typing as npt
@@ -22,14 +23,24 @@ from inspector.model import Flag, FloatArray, HighlightPairs, Highlights, IntArr
 from inspector.native import out
 from inspector.optics import Calibration
 
-LARGEST_RADIUS_MM = 6.0
+LARGEST_RADIUS_MM = 12.0
 """No candidate is larger: 1.6 times the largest seed of the thesis. Specks far apart pair by chance the sooner."""
 BEND_SHARE, BEND_PX = 0.12, 1.5
 """First sieve: how far, as a share of the distance and in pixels, a mirror spot may lie beside the direction."""
-MODEL_SHARE = 0.008
-"""What the model itself may be off across the direction (sunk seeds, lamp azimuth), as a share of the distance."""
+MODEL_SHARE = 0.003
+"""What the calibration may be off across the direction (lamp azimuth), as a share of the distance."""
+SUNK_SHARE, LEAST_SHARE = 0.3, 0.0
+"""The share of seeds that are sunk in the paint, and how high their centre is at the least, over the radius."""
+USUAL_RADIUS_MM, RADIUS_SCATTER = 0.7, 1.1
+"""Seeds are so large, log-normally: 0.2 to 2.5 mm within one scatter and a bit (thesis, chapter 3)."""
+CHANCE_RATIO_SIGMA = 1.2
+"""Scatter of the log brightness ratio of two spots that have nothing to do with each other."""
+LEAST_ODDS = 2.0
+"""Log odds that a couple is a seed rather than chance, without which it is none."""
+FEW = 4
+"""Chance is reckoned with as many spots in the frame that are no seed's, or with those left over if they are more."""
 WORTH = 9.0
-"""Log odds by which a couple that fits perfectly beats two spots that only chance put there."""
+"""Cost of leaving two spots alone that might be a pair at even odds less LEAST_ODDS."""
 RATIO_SIGMA = 0.35
 """Scatter of the log brightness ratio of true pairs about Fresnel's beside the fluxes' own: the paint's index."""
 SIZE_SIGMA = 0.4
@@ -38,7 +49,7 @@ SIZE_COST = 6.0
 """Limit of that term: a seed unlike its neighbours is rare, not impossible."""
 POOL_SHARE = 0.7
 """A paint pool's spot lies at most this share of the way from the mirror to the direct spot."""
-POOL_ODDS = 5.0
+POOL_ODDS = 7.0
 """How much more the wider couple may cost."""
 PAINT_INDEX = 1.5
 """Refractive index of clear coats: 1.47 to 1.55."""
@@ -56,7 +67,14 @@ NO_DUST = int(Flag.HOT_PIXEL | Flag.AT_EDGE)
 COUPLES_A_SPOT = 16
 """Room for candidates, for each spot; more are counted and asked for again."""
 
-_RULES = struct.pack("7d", LARGEST_RADIUS_MM, BEND_SHARE, BEND_PX, MODEL_SHARE, WORTH, RATIO_SIGMA, PAINT_INDEX)
+
+def _rules(spots_a_px2: float) -> bytes:
+    """`Rules` of `_pairs.c`."""
+    plain = (LARGEST_RADIUS_MM, BEND_SHARE, BEND_PX, MODEL_SHARE, WORTH, RATIO_SIGMA, PAINT_INDEX)
+    seeds = (SUNK_SHARE, LEAST_SHARE, USUAL_RADIUS_MM, RADIUS_SCATTER)
+    return struct.pack("14d", *plain, *seeds, CHANCE_RATIO_SIGMA, LEAST_ODDS, spots_a_px2)
+
+
 _candidates = native.function("inspector.detect._pairs", "pairs_candidates", "ppippppppippp")
 
 
@@ -100,6 +118,10 @@ def pair(spots: Highlights, calibration: Calibration) -> HighlightPairs:
     if len(chosen) >= 3:
         found = _alike(found, chosen, spots.flux_sigma)
         chosen = best_matching(found.direct, found.mirror, found.cost, WORTH)
+    lone = len(spots) - 2 * len(chosen)
+    if lone > FEW:
+        found = replace(found, cost=[c + log(lone / FEW) for c in found.cost])
+        chosen = best_matching(found.direct, found.mirror, found.cost, WORTH)
     chosen = _outermost(found, chosen)
     couples = np.array([[ends[k] for k in chosen] for ends in (found.direct, found.mirror)], np.intp)
     flags = spots.flags[couples]
@@ -117,7 +139,9 @@ def candidates(spots: Highlights, rays: FloatArray, calibration: Calibration) ->
     """
     able = (spots.flags & NO_SEED == 0).nonzero()[0]
     given = (able, spots.xy_px, spots.covariance_px2, spots.flux_dn, spots.flux_sigma, rays)
-    arguments = (reflection.scene(calibration), _RULES, len(able), *(a.tobytes() for a in given))
+    camera = calibration.camera
+    rules = _rules(FEW / (camera.width_px * camera.height_px))
+    arguments = (reflection.scene(calibration), rules, len(able), *(a.tobytes() for a in given))
     room, count = 0, COUPLES_A_SPOT * len(able) + 1
     while count > room:
         room = count

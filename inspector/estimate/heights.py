@@ -20,8 +20,6 @@ INCONSISTENT = int(Flag.INCONSISTENT)
 SUNK = int(Flag.SUNK)
 SUNK_SIGMA, LEAST_SHARE = 2.5, 0.05
 """A pair whose spare equation is off by more is tried as a sunk seed; its centre is then so many radii high or more."""
-SUNK_SHARE = 0.009
-"""A seed sunk in the paint reads low by 0.7 to 1.2 % (centre at 0.7 to 0.5 of the radius): the mean of the two."""
 
 
 def measure(
@@ -52,7 +50,9 @@ def _exact(spots: Highlights, pairs: HighlightPairs, calibration: Calibration) -
     field = field_sigma(calibration)
     if field is not None:
         sigma_um = np.hypot(sigma_um, field.at(spots.xy_px[d]) * height_um)
-    columns = (seeds.x_mm, seeds.y_mm, height_um, sigma_um, residual, pairs.flags | sunk, place_sigma_mm)
+    sunk_bias_um = np.where(sunk, 0.0, np.abs(seeds.sunk_share) * height_um)
+    flags = pairs.flags | sunk
+    columns = (seeds.x_mm, seeds.y_mm, height_um, sigma_um, residual, flags, sunk_bias_um, place_sigma_mm)
     places = zip(spots.xy_px[d].tolist(), spots.xy_px[m].tolist(), strict=True)
     return [
         Defect(
@@ -64,10 +64,10 @@ def _exact(spots: Highlights, pairs: HighlightPairs, calibration: Calibration) -
             mirror_px=(mirror[0], mirror[1]),
             flags=Flag(flag | INCONSISTENT if residual > INCONSISTENT_SIGMA and not flag & SUNK else flag),
             residual_sigma=residual,
-            sunk_bias_um=0.0 if flag & SUNK else SUNK_SHARE * height_um,
+            sunk_bias_um=bias_um,
             place_sigma_mm=place_sigma_mm,
         )
-        for x_mm, y_mm, height_um, sigma_um, residual, flag, place_sigma_mm, (direct, mirror) in zip(
+        for x_mm, y_mm, height_um, sigma_um, residual, flag, bias_um, place_sigma_mm, (direct, mirror) in zip(
             *(c.tolist() for c in columns), places, strict=True
         )
     ]
@@ -91,7 +91,7 @@ def _sunk(
         return flags
     d, m = pairs.direct[apart], pairs.mirror[apart]
     some = reflection.Seeds(
-        seeds.x_mm[apart], seeds.y_mm[apart], seeds.radius_mm[apart], seeds.covariance[apart], seeds.chi2[apart]
+        *(a[apart] for a in (seeds.x_mm, seeds.y_mm, seeds.radius_mm, seeds.covariance, seeds.chi2, seeds.sunk_share))
     )
     ends = ((pairs.rays[d], pairs.rays[m]), (spots.covariance_px2[d], spots.covariance_px2[m]))
     height_mm, sigma_mm, share = sunk_heights_mm(*ends, some, calibration)
