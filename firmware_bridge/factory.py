@@ -123,3 +123,14 @@ def build_master(settings: ModuleSettings, device: str = "module") -> ModbusMast
 
     rtu = settings.link.kind == "serial" or (settings.link.kind == "simulated" and settings.profile_row.has_serial)
     return ModbusMaster(device, settings.unit, open_port, rtu=rtu, deadline_s=settings.deadline_s)
+
+
+def build_plc_master(host: str, port: int, unit: int, deadline_s: float, device: str = "plc") -> ModbusMaster:
+    """The Modbus TCP master that writes into a PLC; ``device`` is what errors call it."""
+    return ModbusMaster(
+        device,
+        unit,
+        lambda: open_tcp_unit(device, host, port, unit, deadline_s),
+        rtu=False,
+        deadline_s=deadline_s,
+    )

@@ -19,6 +19,7 @@ from inspector import handshake
 from inspector.handshake import Handshake, Order, Stepped
 from inspector.handshake_table import Action, CommandResult
 from inspector.model import Snapshot
+from inspector.posting import Poster
 from inspector.publish.plc_server import PlcServer
 from inspector.publish.registers import CONTROL_ADDRESS, CONTROL_WORDS, WordOrder, decode_control
 
@@ -41,6 +42,7 @@ class PlcControl:
         self._words: tuple[int, ...] = (0,) * CONTROL_WORDS
         self._word_order: WordOrder = "high_first"
         self._server: PlcServer | None = None
+        self._poster: Poster | None = None
         self._trigger: Order | None = None
         self._command: Order | None = None
         self._marks: deque[Order] = deque(maxlen=PANEL_MARKS)
@@ -51,6 +53,12 @@ class PlcControl:
         with self._lock:
             self._server, self._word_order = server, word_order
             self._state = replace(self._state, always_buffer=always_buffer)
+            self._show()
+
+    def post(self, poster: Poster | None) -> None:
+        """Hand every result to this poster from now on, beside showing it; None: to none."""
+        with self._lock:
+            self._poster = poster
             self._show()
 
     def write(self, address: int, words: Sequence[int]) -> None:
@@ -74,10 +82,11 @@ class PlcControl:
     def publish(self, snapshot: Snapshot) -> None:
         """What the station is and has found; a new sequence is a new result. Counts as a beat."""
         with self._lock:
-            if snapshot.sequence != self._live.sequence:
+            is_new = snapshot.sequence != self._live.sequence
+            if is_new:
                 self._state = handshake.resulted(self._state, snapshot)
             self._live = snapshot
-            self._show(beat=True)
+            self._show(snapshot if is_new else None, beat=True)
 
     def ready(self, able: bool) -> None:
         """Whether the station waits for a TRIGGER and could inspect at once."""
@@ -165,7 +174,9 @@ class PlcControl:
             self._state = state
             self._show()
 
-    def _show(self, beat: bool = False) -> None:
+    def _show(self, result: Snapshot | None = None, *, beat: bool = False) -> None:
+        if self._poster is not None:
+            self._poster.show(handshake.station_view(self._state, self._live), result)
         if self._server is None:
             return
         shown = handshake.view(self._state, self._live)

@@ -27,6 +27,7 @@ from inspector.lifecycle import Event, after
 from inspector.line_history import LineHistory
 from inspector.model import Snapshot
 from inspector.plc_commands import carried_out
+from inspector.posting import Poster
 from inspector.publish import console
 from inspector.publish.plc_server import PlcServer, PlcServerError
 from inspector.publish.systemd import Notifier
@@ -110,6 +111,7 @@ class Daemon:
             Command.RESET_STATISTICS: self._reset_statistics,
         }
         self._server = _server(settings, self._control)
+        self._poster: Poster | None = None
         self._spoken_s = -math.inf
 
     @property
@@ -126,6 +128,7 @@ class Daemon:
         """Serve the registers, before anything else is done. Raises PlcServerError."""
         self._server.start()
         self._serve()
+        self._post_anew(None)
         console.say(console.how_to_poll(self._settings.plc.host, self.port))
         self._show(self._described(self._snapshot, Event.CONFIGURED))
 
@@ -330,6 +333,7 @@ class Daemon:
         self._history.take_over(new)
         self._settings = new
         self._serve()
+        self._post_anew(old)
         self._sequence.move(new.plc.sequence_file)
         self._spoken_s = -math.inf
         self._trigger = self._triggered(self._trigger.missed, self._trigger.late)
@@ -362,6 +366,25 @@ class Daemon:
         self._server.stall_after_s = longest_silence_s(self._settings)
         self._notifier.allow_silence(self.stall_after_s)
 
+    def _post_anew(self, old: Settings | None) -> None:
+        """Write results into the PLC that the settings name, if that is not what is done already."""
+        plc = self._settings.plc
+        if old is not None and (plc.post, plc.word_order) == (old.plc.post, old.plc.word_order):
+            return
+        self._control.post(None)
+        left = self._poster.stop() if self._poster else None
+        self._poster = None
+        if plc.post is not None:
+            master = factory.build_plc_master(plc.post.host, plc.post.port, plc.post.unit, plc.post.deadline_s)
+            self._poster = Poster(plc.post, master, self._snapshot, word_order=plc.word_order, stalled=self._is_stalled)
+            if left is not None:
+                self._poster.take_over(left)
+            self._poster.start()
+        self._control.post(self._poster)
+
+    def _is_stalled(self) -> bool:
+        return self._server.stalled
+
     def _described(self, snapshot: Snapshot, *events: Event) -> Snapshot:
         """The snapshot with what it says of the settings brought up to date."""
         settings = self._settings
@@ -380,6 +403,8 @@ class Daemon:
         self._control.publish(snapshots.stopped(self._snapshot))
 
     def _server_stop(self) -> None:
+        if self._poster:
+            self._poster.stop()
         self._server.stop()
         self._sequence.ends(self._snapshot.sequence)
         log.info("stopped")

@@ -175,8 +175,12 @@ def discarded(state: Handshake) -> Handshake:
 def view(state: Handshake, live: Snapshot) -> Snapshot:
     """What the registers show: ``live`` is the station as it is now, with its newest result."""
     shown, kept = state.shown, state.buffering and state.result is Step.RESULT_OFFERED
-    if kept or shown.sequence != live.sequence:
-        live = _with_result(live, shown)
+    station = station_view(state, live)
+    return with_result(station, shown) if kept or shown.sequence != live.sequence else station
+
+
+def station_view(state: Handshake, live: Snapshot) -> Snapshot:
+    """The station with its newest result, whatever is held: only the handshake's own registers are added."""
     return replace(
         live,
         missed_triggers=live.missed_triggers + state.missed,
@@ -284,7 +288,7 @@ OF_A_RESULT = (
 """What of a snapshot belongs to its result; the rest tells of the station as it is."""
 
 
-def _with_result(live: Snapshot, result: Snapshot) -> Snapshot:
+def with_result(live: Snapshot, result: Snapshot) -> Snapshot:
     """The station as it is, with an older result. In a fault no verdict stands; the result itself keeps its own."""
     shown = replace(live, **{name: getattr(result, name) for name in OF_A_RESULT})
     if not live.fault_code and live.state not in (State.ERROR, State.HALTED):

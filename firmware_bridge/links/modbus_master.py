@@ -107,6 +107,13 @@ class ModbusMaster:
             if tuple(echo) != (address, value):
                 raise self._wrong(f"the echo is of {tuple(echo)}, not of {(address, value)}")
 
+    def write_many(self, address: int, values: Sequence[int]) -> None:
+        """Write up to 123 holding registers in one request (function 16), and check what is answered."""
+        with self._asking(f"writing {len(values)} holding registers from {address}") as client:
+            reply = self._checked(client.write_registers(address, list(values), device_id=self._unit), 16)
+            if (reply.address, reply.count) != (address, len(values)):
+                raise self._wrong(f"the answer is of {reply.count} registers from {reply.address}")
+
     @contextlib.contextmanager
     def _asking(self, what: str) -> Iterator[DeadlineClient]:
         """One request: pymodbus' failures become ours, told apart by whether anything came."""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import ipaddress
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, PositiveFloat
+from pydantic import AfterValidator, Field, PositiveFloat, model_validator
 
 from inspector.publish.plc_access import LOOPBACK
+from inspector.publish.registers import RESULT_WORDS
 from inspector.recipe import Strict
 
 
@@ -22,6 +23,9 @@ def _network(text: str) -> str:
 
 Network = Annotated[str, AfterValidator(_network)]
 FilePath = Annotated[Path, Field(strict=False)]
+
+
+_NOT_SERVED = ("buffer_results", "post", "sequence_file")
 
 
 class SerialSettings(Strict):
@@ -63,6 +67,39 @@ class TlsSettings(Strict):
         return self.model_copy(update={name: folder / getattr(self, name) for name in names})
 
 
+class PostSettings(Strict):
+    """A PLC into whose holding registers the station writes its result block, by function 16."""
+
+    host: str = Field(min_length=1)
+    """Address or name of the PLC."""
+    port: int = Field(502, ge=1, le=65535)
+    """TCP port of the PLC's Modbus server."""
+    unit: int = Field(1, ge=0, le=255)
+    """Modbus unit id of the PLC."""
+    address: int = Field(0, ge=0, le=0x10000 - RESULT_WORDS)
+    """First of the registers that take the block, zero-based."""
+    acknowledge_address: int | None = Field(None, ge=0, le=0xFFFF)
+    """The PLC's register that holds the sequence of the result it took last; the next follows then. null: it follows at
+    once."""
+    queue: int = Field(64, ge=1, le=1024)
+    """Results that wait while the PLC is away or slow; what finds no room is lost and counted."""
+    period_s: float = Field(0.5, gt=0, le=60)
+    """The block is written this often when nothing is new, so that heartbeat and age go on, seconds."""
+    deadline_s: float = Field(1.0, gt=0, le=60)
+    """The PLC must answer a request in this time, seconds."""
+    retry_first_s: float = Field(0.5, gt=0, le=60)
+    """After a failure it is tried again after this time, seconds; each further failure doubles it."""
+    retry_longest_s: float = Field(5.0, gt=0, le=600)
+    """The longest time between two tries, seconds."""
+
+    @model_validator(mode="after")
+    def _acknowledge_apart(self) -> Self:
+        if self.acknowledge_address in range(self.address, self.address + RESULT_WORDS):
+            allowed = f"below {self.address} or from {self.address + RESULT_WORDS} on"
+            raise ValueError(f"acknowledge_address lies in the block; allowed: {allowed}")
+        return self
+
+
 class PlcSettings(Strict):
     """The Modbus server that the line's PLC polls."""
 
@@ -86,15 +123,24 @@ class PlcSettings(Strict):
     """Keep each result until the PLC acknowledges it, also while its bit BUFFER_RESULTS is off."""
     sequence_file: FilePath | None = None
     """File in which the last result's number is kept, so that `sequence` goes on after a restart; null: from 0."""
+    post: PostSettings | None = None
+    """A PLC that results are written into, beside being served; null: none."""
     serial: SerialSettings | None = None
     """A serial line that is served too; null: none."""
     tls: TlsSettings | None = None
     """A port for Modbus/TCP Security, served too; null: none."""
 
+    @model_validator(mode="after")
+    def _acknowledged_once(self) -> Self:
+        if self.post and self.post.acknowledge_address is not None and self.sequence_file is None:
+            why = "after a restart, sequences that the PLC has acknowledged would come again"
+            raise ValueError(f"post.acknowledge_address needs sequence_file: {why}; allowed: both, or neither")
+        return self
+
     @property
     def served(self) -> dict[str, Any]:
         """What of these the server itself is given; the rest is for what stands behind the registers."""
-        return {name: value for name, value in self if name not in ("buffer_results", "sequence_file")}
+        return {name: value for name, value in self if name not in _NOT_SERVED}
 
     @property
     def ports(self) -> set[int]:

@@ -214,6 +214,18 @@ here are zero-based, as on the wire; a manual's 30001 or 40001 is address 0. To 
 Who may connect is set in the station's settings; unless they say otherwise, only programs on the station itself.
 Idle connections are closed: poll at least as often as the settings' idle time-out, or reconnect.
 
+## When the station writes
+With `plc.post` in its settings the station also writes the result block into holding registers of the PLC, by function
+16, beside being served. It needs {block_words} registers in one row, and writes the first two of them last.
+
+1. A new result is there when `sequence` differs from the one taken last and equals `sequence_end`. Take it whole, then
+   put its `sequence` into the acknowledge register, if one is set: the next result comes only then. Keep that register
+   over a restart.
+2. Without an acknowledge register the next result follows at once, and a slow program misses some, as gaps show.
+3. While nothing is new the block is written again each `period_s`: `heartbeat` must change within two seconds.
+4. Results wait in a queue while the PLC is away and come in their order. What finds no room is lost, counted in
+   `overruns`; `results_waiting` and the handshake bits RESULT_AVAILABLE and OVERRUN are the queue's own.
+
 ## Conventions
 value = register * scale, in the unit given. Units `id`, `tick`, `code` and `bits` mark exact numbers, which wrap; all
 others saturate at the range's end and set SATURATED_VALUE. 32-bit values lie high word first unless the settings say
