@@ -5,6 +5,7 @@ Every call returns or raises within the time it is given.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import stat
 import threading
@@ -103,7 +104,21 @@ class StreamSource:
                 self._raise_if_short(f"in {timeout_s:.3g} s")
                 raise self._nothing(timeout_s, self._reader.dropped_bytes - noise)
             self._take(self._reader.receive(data))
+        if not self._form.header:
+            self._end(port)
         return self._frames.popleft()
+
+    def _end(self, port: Port) -> None:
+        """Without headers, what follows a frame before the next pause is whole frames, or its shape is another one and
+        the next frames would be shifted. Raises ReplyWrong."""
+        until_s = time.monotonic() + ALIGN_S
+        with contextlib.suppress(DeviceGone):  # the frame is whole: whoever asks for the next one will see it
+            while time.monotonic() < until_s and (data := port.read(PAUSE_S)):
+                self._take(self._reader.receive(data))
+        if beyond := self._reader.pending_bytes:
+            self._restart()
+            what = f"{self.name} gave {beyond} bytes beyond a frame's {self._form.frame_bytes}"
+            raise ReplyWrong(self._device, what, "check the frame's width, height and bits")
 
     def _take(self, frames: list[RawFrame]) -> None:
         old, self._skip = self._skip, max(self._skip - len(frames), 0)

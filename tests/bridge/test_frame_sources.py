@@ -46,12 +46,28 @@ def test_what_came_before_is_thrown_away_and_the_rest_of_a_half_frame_too(
     source, writer = piped
     os.write(writer, frame(form, 1) + frame(form, 2)[:20])
     source.discard()
-    os.write(writer, frame(form, 2)[20:] + frame(form, 3) + frame(form, 4)[:-1])
+    os.write(writer, frame(form, 2)[20:] + frame(form, 3))
     assert source.read(5.0).image[0, 0] == 3
+    os.write(writer, frame(form, 4)[:-1])
     with pytest.raises(errors.ReplyWrong, match=f"gave {form.frame_bytes - 1} of a frame's {form.frame_bytes} bytes"):
         source.read(0.05)
     os.write(writer, frame(form, 5))
     assert source.read(5.0).image[0, 0] == 5
+
+
+def test_frames_that_are_longer_than_they_should_be_are_told_and_shift_none(
+    form: RawFormat, piped: tuple[RawSource, int]
+) -> None:
+    source, writer = piped
+    for number in range(1, 5):
+        os.write(writer, frame(form, number) + bytes(form.width_px))
+        if form.header:  # the next header is found again, whatever stands before it
+            assert (source.read(5.0).image == number).all()
+            continue
+        with pytest.raises(errors.ReplyWrong, match=f"gave 8 bytes beyond a frame's {form.frame_bytes}; check the fra"):
+            source.read(5.0)
+    os.write(writer, frame(form, 8) + frame(form, 9))
+    assert [(source.read(5.0).image == number).all() for number in (8, 9)] == [True, True]
 
 
 def test_opened_in_the_middle_of_a_frame_it_begins_with_the_next(form: RawFormat, piped: tuple[RawSource, int]) -> None:

@@ -308,6 +308,30 @@ def test_a_pulled_adapter_comes_back_under_another_name(serve: Any, master_at: A
     assert after.module.output_v(0) == pytest.approx(77 * 5 / 4095)
 
 
+@pytest.mark.parametrize("heard", [b"", bytes.fromhex("03 03 02")], ids=["unanswered", "half answered"])
+def test_an_adapter_pulled_in_mid_request_is_gone_at_once(heard: bytes, settings_for: Any, descriptors: Any) -> None:
+    from firmware_bridge.factory import build_master
+
+    before = descriptors()
+    module, adapter = os.openpty()
+    master = build_master(settings_for("ato-4ch", os.ttyname(adapter), deadline_s=10.0))
+    master.open()
+    os.close(adapter)
+
+    def answers_and_goes() -> None:
+        os.read(module, 512)
+        os.write(module, heard)
+        os.close(module)
+
+    puller = threading.Thread(target=answers_and_goes)
+    puller.start()
+    with pytest.raises(errors.DeviceGone, match="check its cable"):
+        master.read(HOLDING, 0)
+    puller.join()
+    master.close()
+    assert descriptors() == before
+
+
 def test_a_connection_that_is_cut_comes_back(serve: Any, settings_for: Any) -> None:
     from firmware_bridge.factory import build_master
 
