@@ -26,7 +26,7 @@ lint: setup  ## Style, types and import rules.
 soak: setup  ## Pass the tests that take minutes: long runs, with devices that come and go.
 	$(BIN)/pytest -m long $(PYTEST_ARGS)
 	FAULT_SEQUENCES=10000 RANDOM_STREAMS=200000 $(BIN)/pytest tests/bridge/test_fault_sequences.py \
-	  tests/line/test_capture_path.py tests/bridge/test_random_streams.py
+	  tests/line/test_capture_path.py tests/bridge/test_random_streams.py tests/bridge/test_random_camera_streams.py
 	HANDSHAKE_EXAMPLES=1000 $(BIN)/pytest --timeout 3600 tests/line/test_handshake_random.py
 
 check: lint test  ## All that CI runs.
