@@ -175,6 +175,8 @@ class LampSettings(Strict):
     file with measured samples."""
     warm_up_s: float = Field(0.0, ge=0, le=3600)
     """Results count only after the lamp has been lit for so long, seconds."""
+    settle_s: float = Field(1.0, ge=0, le=60)
+    """After a change of recipe that changes its level, results count only after this time, seconds."""
     hours_file: Annotated[Path, Field(strict=False)] | None = None
     """File in which the hours that the bulb has burnt are kept over restarts; null: they are not kept."""
 

@@ -185,9 +185,9 @@ def run(
 
     Exit status: 0 stopped as asked, 69 the PLC port is taken, 78 the settings are refused.
     """
-    from inspector import daemon
+    from inspector import serve
 
-    raise typer.Exit(daemon.run(config, daemon.Limits(panels, duration_s)))
+    raise typer.Exit(serve.run(config, serve.Limits(panels, duration_s)))
 
 
 @app.command()

@@ -111,9 +111,14 @@ class PlcControl:
         return self._state.panel_id if trigger is None else trigger.panel_id
 
     @property
+    def missed(self) -> int:
+        """How often TRIGGER rose when the station was not ready."""
+        return self._state.missed
+
+    @property
     def asks(self) -> bool:
-        """Whether :meth:`take_command` or :meth:`take_clear` has something."""
-        return self._command is not None or self._clear
+        """Whether :meth:`take_command`, :meth:`take_clear` or :meth:`take_panel_marks` has something."""
+        return self._command is not None or self._clear or bool(self._marks)
 
     def cycle_ended(self, able: bool) -> None:
         """The cycle that a TRIGGER began, if one did, has brought its result; ``able`` as for :meth:`ready`."""

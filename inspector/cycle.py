@@ -7,6 +7,7 @@ own, and moves what they are set to from panel to panel (:mod:`inspector.acquire
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
@@ -24,8 +25,13 @@ from inspector.acquire.keeper import Keeper, Retry, Waiting
 from inspector.acquire.outage import Outage
 from inspector.acquire.tuning import LightWrong, Tuning
 from inspector.faults import Fault
+from inspector.lifecycle import Event, after
 from inspector.model import Frame, FrameResult, Snapshot, Verdict
-from inspector.settings import Settings
+from inspector.recipe import Recipe, content_hash
+from inspector.recipe_proof import beyond_camera
+from inspector.settings import Settings, SettingsError, configuration_hash
+from inspector.stages import Inspection
+from inspector.yaml_document import Problem, path_text, short
 
 log = logging.getLogger(__name__)
 
@@ -37,21 +43,30 @@ STALL_MARGIN_S = 1.5
 LAMP_REQUESTS = 4
 """Requests to the lamp's module around a frame: write and read back, read after the grab, and 0 V when that fails."""
 
-Inspection = Callable[[Frame], FrameResult]
-
 
 def _nothing() -> None:
     """Nobody wants to look in the middle of a cycle."""
 
 
+def _always() -> bool:
+    """Every frame is of a panel."""
+    return True
+
+
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """What a cycle came to: the result, the frame's name and id (empty and None without a frame), and the reasons."""
+    """What a cycle came to: the result, the frame's name and id (empty and None without a frame), and the reasons.
+
+    Where a panel has several frames the snapshot is no result yet: ``frame`` and ``result`` are its part of one (None:
+    there was none that could be inspected, or it was not of a panel).
+    """
 
     snapshot: Snapshot
     name: str = ""
     frame_id: int | None = None
     why: tuple[str, ...] = ()
+    frame: Frame | None = None
+    result: FrameResult | None = None
 
 
 class Cycle:
@@ -76,6 +91,8 @@ class Cycle:
         self._waiting = waiting
         self._prepared: Wanted | None = None
         self._weak = False
+        self._lit: tuple[Frame, float] | None = None
+        self._settled_s: float | None = -math.inf
 
     @property
     def simulated(self) -> bool:
@@ -97,13 +114,13 @@ class Cycle:
             return min([*waiting, started_s + OUTAGE_CYCLE_S])
         return now_s
 
-    def turn(self, last: Snapshot, glance: Callable[[], None] = _nothing) -> Turn:
-        """One frame taken and inspected; ``glance`` is called in between. Raises NoTrigger, for which there is no turn:
-        the camera still waits."""
+    def turn(self, last: Snapshot, glance: Callable[[], None] = _nothing, wanted: Callable[[], bool] = _always) -> Turn:
+        """One frame taken and inspected; ``glance`` is called in between, then ``wanted`` asked whether it is of a
+        panel. Raises NoTrigger, for which there is no turn: the camera still waits."""
         started_s = self._clock()
         last = replace(last, lamp_set_v=self.wanted.lamp_v)
         try:
-            return self._inspected(last, started_s, glance)
+            return self._inspected(last, started_s, glance, wanted)
         except NoTrigger:
             raise
         except BridgeError as error:
@@ -123,11 +140,12 @@ class Cycle:
             if self._prepared != self.wanted or not (self._lamp.works and self._camera.works):
                 prepare(self._lamp, self._camera, self.wanted)
                 self._prepared = self.wanted
+                self._settle()
             else:
                 self._lamp.use(lambda lamp: lamp.keep_alive())
         except BridgeError as error:
             return self.waits_for(last, error)
-        return self._waits(last, Fault.LAMP_WARMING_UP if self._missing_s > 0 else Fault.NONE)
+        return self._waits(last, Fault.LAMP_WARMING_UP if self.missing_s > 0 else Fault.NONE)
 
     def waits_for(self, last: Snapshot, error: BridgeError) -> Snapshot:
         """While the station waits: a device has failed."""
@@ -145,6 +163,16 @@ class Cycle:
         self._lamp.hurry()
         self._camera.hurry()
 
+    def prove(self, recipe: Recipe) -> None:
+        """Ask the camera whether it can expose as a recipe says. Raises SettingsError, also if it cannot be asked."""
+        try:
+            found = [*beyond_camera(recipe, self._camera.use(lambda camera: camera.capabilities()))]
+        except BridgeError as error:
+            found = [((), recipe.id, f"cannot be proven: {error}")]
+        if found:
+            problems = (Problem("", path_text(("recipe", *place)), short(value), why) for place, value, why in found)
+            raise SettingsError(tuple(problems))
+
     def take_over(self, settings: Settings, devices: Devices, inspect: Inspection) -> None:
         """Change what differs between the settings and nothing else: a device that stays as it was stays open."""
         old, camera, module = self._settings, self._devices.camera, self._devices
@@ -154,8 +182,11 @@ class Cycle:
         if (settings.module, settings.lamp) != (old.module, old.lamp):
             module = devices
             self._lamp.replace(module.lamp)
+        level = self._tuning.level
         if (settings.recipe, settings.light) != (old.recipe, old.light):
             self._tuning = Tuning(settings.recipe, settings.light)
+        if self._tuning.level.lamp_percent != level.lamp_percent:
+            self._settled_s = None
         self._camera.retry = self._lamp.retry = _retry(settings)
         self._settings, self._inspect = settings, inspect
         self._devices = replace(module, camera=camera)
@@ -166,30 +197,68 @@ class Cycle:
         self._lamp.close()
         self._camera.close()
 
-    def _inspected(self, last: Snapshot, started_s: float, glance: Callable[[], None]) -> Turn:
+    def panel_done(self) -> None:
+        """A panel of several frames has ended: exposure and lamp move for the next one."""
+        if self._lit is not None:
+            self._trim(*self._lit)
+            self._lit = None
+        self._move_level()
+
+    @property
+    def missing_s(self) -> float:
+        """For how long the lamp must still be lit before its light counts as steady, seconds; 0 or less: it does."""
+        lamp = self._settings.lamp
+        settles_s = lamp.settle_s if self._settled_s is None else self._settled_s - self._clock()
+        return max(lamp.warm_up_s - self._lamp.worked_s, settles_s)
+
+    def _settle(self) -> None:
+        """The lamp has its level: from now on it takes its time to follow, if the level is another one."""
+        if self._settled_s is None:
+            self._settled_s = self._clock() + self._settings.lamp.settle_s
+
+    def _inspected(
+        self, last: Snapshot, started_s: float, glance: Callable[[], None], wanted: Callable[[], bool]
+    ) -> Turn:
         frame = capture(self._lamp, self._camera, self.wanted, self._waiting)
+        self._settle()
         with suppress(BridgeError):  # whoever looks next will see it
             glance()
-        if self._missing_s > 0:
-            return self._failed(last, Fault.LAMP_WARMING_UP, f"{self._missing_s:.0f} s left", started_s, frame)
+        if self.missing_s > 0:
+            return self._failed(last, Fault.LAMP_WARMING_UP, f"{self.missing_s:.0f} s left", started_s, frame)
         taken_s = self._clock()
-        try:
-            self._tuning.check(frame)
-        finally:
-            self._trim(frame, taken_s)
-        self._light.ends()
+        self._check_light(frame, taken_s)
+        several = self._settings.panel.several
+        if several and not wanted():
+            return Turn(snapshots.taken(self._with_devices(last), frame), frame_id=frame.frame_id, frame=frame)
         result = self._inspect(self._tuning.to_inspect(frame))
         self._note(result)
         now_s = self._clock()
-        times = snapshots.Times(now_s, (now_s - taken_s) * 1e6, (now_s - started_s) * 1e6)
-        self._panel_done(result)
-        shown = snapshots.inspected(self._with_devices(last), frame, result, times)
-        return Turn(shown, Path(frame.name).name, frame.frame_id, result.reasons_text)
+        elapsed_us = (now_s - taken_s) * 1e6
+        self._tuning.saw(result)
+        last, name = self._with_devices(last), Path(frame.name).name
+        if several:
+            result = replace(result, elapsed_us=elapsed_us, highlights=None)
+            shown = snapshots.taken(last, frame, result)
+        else:
+            self._move_level()
+            shown = snapshots.inspected(
+                last, frame, result, snapshots.Times(now_s, elapsed_us, (now_s - started_s) * 1e6)
+            )
+        return Turn(shown, name, frame.frame_id, result.reasons_text, frame, result)
 
-    @property
-    def _missing_s(self) -> float:
-        """For how long the lamp must still be lit before it counts as warm, seconds."""
-        return self._settings.lamp.warm_up_s - self._lamp.worked_s
+    def _check_light(self, frame: Frame, taken_s: float) -> None:
+        """Raise LightWrong if the frame was not taken in the light that it should be; the lamp is trimmed by it,
+        between panels."""
+        try:
+            self._tuning.check(frame)
+        except LightWrong:
+            self._trim(frame, taken_s)
+            raise
+        if self._settings.panel.several:
+            self._lit = frame, taken_s
+        else:
+            self._trim(frame, taken_s)
+        self._light.ends()
 
     def _note(self, result: FrameResult) -> None:
         """The inspection works; a row of frames that cannot be judged is said once."""
@@ -199,11 +268,11 @@ class Cycle:
         else:
             self._frames.ends()
 
-    def _panel_done(self, result: FrameResult) -> None:
+    def _move_level(self) -> None:
         """The level for the next panel. A camera that fails meanwhile is found failing there."""
         if self._tuning.follows_spots:
             with suppress(BridgeError):
-                self._tuning.panel_done(result, self._camera.use(lambda camera: camera.capabilities()))
+                self._tuning.panel_done(self._camera.use(lambda camera: camera.capabilities()))
 
     def _trim(self, frame: Frame, now_s: float) -> None:
         """The lamp's level for the next frame; a lamp that comes near its end is said once."""
@@ -215,7 +284,10 @@ class Cycle:
     def _failed(self, last: Snapshot, fault: Fault, why: str, started_s: float, frame: Frame | None = None) -> Turn:
         now_s = self._clock()
         times = snapshots.Times(now_s, 0.0, (now_s - started_s) * 1e6)
-        shown = snapshots.not_inspected(self._with_devices(last), fault, times)
+        if self._settings.panel.several:
+            shown = snapshots.waiting(self._with_devices(last), fault)
+        else:
+            shown = snapshots.not_inspected(self._with_devices(last), fault, times)
         return Turn(shown, frame_id=frame.frame_id if frame else None, why=(f"{fault.name}: {why}",))
 
     def _waits(self, last: Snapshot, fault: Fault) -> Snapshot:
@@ -234,3 +306,15 @@ def longest_silence_s(settings: Settings) -> float:
 
 def _retry(settings: Settings) -> Retry:
     return Retry(settings.cycle.retry_first_s, settings.cycle.retry_longest_s)
+
+
+def described(snapshot: Snapshot, settings: Settings, *events: Event) -> Snapshot:
+    """The snapshot with what it says of the settings brought up to date."""
+    return replace(
+        snapshot,
+        state=after(snapshot.state, *events),
+        recipe_id=settings.recipe.id,
+        recipe_hash=content_hash(settings.recipe),
+        lamp_set_v=settings.lamp.volts(settings.recipe.lamp_percent),
+        configuration_hash=configuration_hash(settings),
+    )

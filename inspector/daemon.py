@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -20,21 +19,22 @@ from firmware_bridge.errors import BridgeError, NoTrigger
 from inspector import calibration_file, pace, recipe_choice, snapshots
 from inspector.acquire.trigger import Trigger
 from inspector.control import PlcControl
-from inspector.cycle import Cycle, Inspection, longest_silence_s
+from inspector.cycle import Cycle, described, longest_silence_s
 from inspector.faults import Fault
 from inspector.handshake_table import Command
 from inspector.lifecycle import Event, after
 from inspector.line_history import LineHistory
 from inspector.model import Snapshot
+from inspector.panel_work import PanelWork
 from inspector.plc_commands import carried_out
 from inspector.posting import Poster
 from inspector.publish import console
 from inspector.publish.plc_server import PlcServer, PlcServerError
 from inspector.publish.systemd import Notifier
-from inspector.recipe import content_hash
 from inspector.sequence_file import SequenceFile
-from inspector.settings import Settings, SettingsError, configuration_hash, load, with_recipe
+from inspector.settings import Settings, SettingsError, load, with_recipe
 from inspector.signals import Signals, StopRequested
+from inspector.stages import Inspection, inspection_of
 
 log = logging.getLogger(__name__)
 
@@ -46,9 +46,6 @@ IDLE_CHECK_S = 2.0
 INSPECTION_S = 1.5
 """An inspection that takes longer hangs: the PLC is told before two seconds are over."""
 
-EXIT_STOPPED, EXIT_PORT_TAKEN, EXIT_SETTINGS_REFUSED = 0, 69, 78
-"""Exit statuses, as sysexits.h names them: done, EX_UNAVAILABLE, EX_CONFIG (which no restart mends)."""
-
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -56,32 +53,6 @@ class Limits:
 
     panels: int | None = None
     duration_s: float | None = None
-
-
-def run(file: Path, limits: Limits) -> int:
-    """Serve until asked to stop; the exit status. Settings that are refused are named in the log, all of them."""
-    signals = Signals()
-    signals.install()
-    _log_to_stderr()
-    try:
-        daemon = Daemon(file, load(file), signals)
-        daemon.start()
-    except SettingsError as error:
-        _log_problems(error)
-        return EXIT_SETTINGS_REFUSED
-    except PlcServerError as error:
-        log.error("%s", error)
-        return EXIT_PORT_TAKEN
-    daemon.run(limits)
-    return EXIT_STOPPED
-
-
-def inspection_of(settings: Settings) -> Inspection:
-    """What inspects a frame of this station. Imports the stages: half a second that the registers do not wait for."""
-    from inspector.pipeline import Station, inspect
-
-    station = Station(calibration_file.read(settings.calibration), settings.recipe)
-    return lambda frame: inspect(frame, station)
 
 
 class Daemon:
@@ -154,7 +125,16 @@ class Daemon:
         at_end.callback(self._cycle.close)
         at_end.callback(self._say_farewell)
         self._trigger = self._triggered()
+        self._panels = self._panel_work(settings)
         self._show(replace(self._described(self._snapshot), simulated=self._cycle.simulated))
+
+    def _panel_work(self, settings: Settings) -> PanelWork | None:
+        return PanelWork.of(settings, lambda channel: self._cycle.read_input(channel), self._missed)
+
+    @property
+    def _missed(self) -> int:
+        """Triggers that brought no cycle."""
+        return self._trigger.missed + self._control.missed
 
     def _triggered(self, missed: int = 0, late: int = 0) -> Trigger:
         """What begins a cycle, by the settings."""
@@ -178,7 +158,8 @@ class Daemon:
         self._beat()
         while not self._interrupted:
             self._control.ready(self._awaits_plc)
-            due_s, look_s = min(self._due_s(), ends_s), self._trigger.look_s
+            look_s = min(self._trigger.look_s, self._look_at_panels())
+            due_s = min(self._due_s(), ends_s)
             now_s = time.monotonic()
             if due_s <= now_s:
                 return now_s < ends_s
@@ -215,7 +196,8 @@ class Daemon:
     def _silence_s(self) -> float:
         """How long the module may go unasked while the station waits: well under its watchdog's time."""
         watchdog_s = self._settings.module.watchdog_s or math.inf
-        return min(IDLE_CHECK_S, watchdog_s / 3)
+        settles_s = self._cycle.missing_s
+        return min(IDLE_CHECK_S, watchdog_s / 3, settles_s if settles_s > 0 else math.inf)
 
     @contextlib.contextmanager
     def _waiting(self) -> Iterator[None]:
@@ -237,7 +219,7 @@ class Daemon:
         if one_by_one:
             self._show_changed(replace(self._snapshot, state=after(self._snapshot.state, Event.STARTED_SINGLE)))
         try:
-            turn = self._cycle.turn(self._counted(self._snapshot), self._taken)
+            turn = self._cycle.turn(self._counted(self._snapshot), self._taken, self._wants_frame)
         except NoTrigger:
             self._keep_ready()
             return
@@ -245,20 +227,54 @@ class Daemon:
         shown = turn.snapshot
         if one_by_one:
             shown = replace(shown, state=after(shown.state, Event.FINISHED, Event.STOPPED))
-        self._show(self._history.after(replace(shown, panel_id=panel_id or shown.panel_id)))
-        console.say(console.panel_line(self._snapshot, turn.name, turn.why))
         self._trigger.took(turn.frame_id)
+        if self._panels is None:
+            self._publish(replace(shown, panel_id=panel_id or shown.panel_id), turn.name, turn.why)
+        else:
+            self._show(shown)
+            self._panels.took(turn, self._missed, panel_id)
+            self._publish_panels(self._panels)
         self._trigger.ended(time.monotonic(), self._cycle.resume_s(started_s))
         self._control.cycle_ended(self._awaits_plc)
         self._show_changed(self._counted(self._snapshot))
 
     def _taken(self) -> None:
         """The frame is there: what is left waits for no device, so that silence is soon a stall."""
+        if self._panels is not None:
+            self._panels.glance()
         self._trigger.glance()
         self._server.beat(INSPECTION_S)
 
+    def _wants_frame(self) -> bool:
+        return self._panels is None or self._panels.wants_frame()
+
+    def _look_at_panels(self) -> float:
+        """See whether a panel has come or gone while the station waits; how soon to look again, seconds."""
+        if self._panels is None:
+            return math.inf
+        self._panels.look()
+        self._publish_panels(self._panels)
+        return self._panels.look_s
+
+    def _publish_panels(self, panels: PanelWork) -> None:
+        """The results of panels that are done, and how far the one under way has come."""
+        for panel in panels.results():
+            self._cycle.panel_done()
+            shown = snapshots.of_panel(self._snapshot, panel, time.monotonic())
+            self._publish(shown, console.frames_of(shown), panel.reasons_text)
+        self._show_changed(replace(self._snapshot, frames_so_far=panels.frames_so_far))
+
+    def _publish(self, result: Snapshot, name: str, why: tuple[str, ...]) -> None:
+        """A result for everybody."""
+        self._show(self._history.after(result))
+        console.say(console.panel_line(self._snapshot, name, why))
+
     def _obey(self) -> None:
         """Do what the PLC asks besides inspections."""
+        marks = self._control.take_panel_marks()
+        if self._panels is not None:
+            self._panels.mark(marks, self._control.trigger_s)
+            self._publish_panels(self._panels)
         if self._control.take_clear():
             self._cycle.try_again()
             self._show_changed(snapshots.cleared(self._snapshot))
@@ -273,7 +289,9 @@ class Daemon:
 
     def _change_recipe(self, recipe_id: int) -> None:
         """Inspect by another recipe, once it has proved whole. Raises SettingsError, and then the old one stays."""
-        self._take_over(with_recipe(self._settings, recipe_id))
+        new = with_recipe(self._settings, recipe_id)
+        self._cycle.prove(new.recipe)
+        self._take_over(new)
         self._show(self._snapshot)
         if self._settings.recipe_choice_file is not None:
             try:
@@ -309,7 +327,7 @@ class Daemon:
             self._settings_recipe_id = found.recipe.id
             log.info("settings taken over from %s, hash %08x", self._file, self._snapshot.configuration_hash)
         except SettingsError as error:
-            _log_problems(error)
+            log_problems(error)
             self._refuse()
         except (PlcServerError, calibration_file.CalibrationError, OSError) as error:
             log.error("%s", error)
@@ -324,20 +342,25 @@ class Daemon:
 
     def _take_over(self, new: Settings) -> None:
         """Change what differs and nothing else; what can be refused comes first."""
-        old, inspect = self._settings, self._make_inspection(new)
+        old, inspect, panels = self._settings, self._make_inspection(new), self._panel_work(new)
         if new.plc != old.plc:
             self._serve_anew(new)
         else:
             self._server.renew_certificates()
+        if self._panels is not None:
+            self._panels.interrupted("recipe or settings were changed")
+            self._publish_panels(self._panels)
         self._cycle.take_over(new, self._build(new.camera, new.module, new.lamp), inspect)
         self._history.take_over(new)
+        self._panels = panels
         self._settings = new
         self._serve()
         self._post_anew(old)
         self._sequence.move(new.plc.sequence_file)
         self._spoken_s = -math.inf
         self._trigger = self._triggered(self._trigger.missed, self._trigger.late)
-        anew = self._described(self._snapshot, Event.STOPPED, Event.UNPREPARED)
+        single = replace(self._snapshot, panel_frames=1, frames_so_far=0, extent=None)
+        anew = self._described(single, Event.STOPPED, Event.UNPREPARED)
         self._snapshot = replace(anew, settings_refused=False, simulated=self._cycle.simulated)
 
     def _serve_anew(self, new: Settings) -> None:
@@ -386,19 +409,12 @@ class Daemon:
         return self._server.stalled
 
     def _described(self, snapshot: Snapshot, *events: Event) -> Snapshot:
-        """The snapshot with what it says of the settings brought up to date."""
-        settings = self._settings
-        return replace(
-            snapshot,
-            state=after(snapshot.state, *events),
-            recipe_id=settings.recipe.id,
-            recipe_hash=content_hash(settings.recipe),
-            lamp_set_v=settings.lamp.volts(settings.recipe.lamp_percent),
-            configuration_hash=configuration_hash(settings),
-        )
+        return described(snapshot, self._settings, *events)
 
     def _say_farewell(self) -> None:
         self._notifier.send("STOPPING=1")
+        if self._panels is not None and self._panels.under_way:
+            log.warning("stopped within a panel: it has no result")
         self._control.ready(False)
         self._control.publish(snapshots.stopped(self._snapshot))
 
@@ -419,12 +435,7 @@ def _server(settings: Settings, control: PlcControl) -> PlcServer:
     )
 
 
-def _log_problems(error: SettingsError) -> None:
+def log_problems(error: SettingsError) -> None:
+    """Say everything that is wrong with refused settings."""
     for problem in error.problems:
         log.error("settings refused: %s", problem)
-
-
-def _log_to_stderr() -> None:
-    """One line an event; the journal stamps its own time."""
-    stamp = "" if "JOURNAL_STREAM" in os.environ else "%(asctime)s "
-    logging.basicConfig(level=logging.INFO, format=f"{stamp}%(levelname)s %(message)s")

@@ -272,6 +272,8 @@ OF_A_RESULT = (
     "sequence",
     "acquisition_id",
     "panel_id",
+    "panel_frames",
+    "extent",
     "recipe_id",
     "verdict",
     "reasons",

@@ -153,7 +153,7 @@ class Action(enum.Enum):
     KEEP_OUTCOME = "command_result shows how it ended"
     REFUSE_AS_BUSY = "command_result shows BUSY"
     START_PANEL = "results carry this panel's id"
-    END_PANEL = "the panel is complete"
+    END_PANEL = "the panel is complete; one that was not begun has no verdict"
 
 
 _A, _E, _S = Action, Event, Step
@@ -179,6 +179,7 @@ TABLE: dict[tuple[Step, Event], tuple[Step, tuple[Action, ...]]] = {
     (_S.COMMAND_CROWDED, _E.COMMAND_ENDS): (_S.COMMAND_DONE, (_A.REFUSE_AS_BUSY,)),
     (_S.COMMAND_DONE, _E.EXECUTE_DROPS): (_S.COMMAND_NONE, ()),
     (_S.PANEL_NONE, _E.PANEL_STARTS): (_S.PANEL_BEGUN, (_A.START_PANEL,)),
+    (_S.PANEL_NONE, _E.PANEL_ENDS): (_S.PANEL_NONE, (_A.END_PANEL,)),
     (_S.PANEL_BEGUN, _E.PANEL_STARTS): (_S.PANEL_BEGUN, (_A.END_PANEL, _A.START_PANEL)),
     (_S.PANEL_BEGUN, _E.PANEL_ENDS): (_S.PANEL_NONE, (_A.END_PANEL,)),
 }

@@ -9,7 +9,7 @@ import logging
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +18,8 @@ from firmware_bridge import whole_file
 from inspector import calibration_file
 from inspector.acquire.outage import Outage
 from inspector.judge.spc.monitor import Monitor
-from inspector.judge.spc.panel import Bounds, Panel
-from inspector.model import Snapshot, Verdict
+from inspector.judge.spc.panel import Panel
+from inspector.model import Extent, Snapshot, Verdict
 from inspector.optics import Camera
 from inspector.settings import Settings, SettingsError
 from inspector.yaml_document import Problem
@@ -32,29 +32,20 @@ CHARTS_ANEW, BASELINES_ANEW = 0, 1
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class Extent:
-    """What is inspected of a panel: area, box and rim in the panel's own coordinates; an area of 0 is not known."""
-
-    area_m2: float
-    bounds_mm: Bounds = (0.0, 0.0, 0.0, 0.0)
-    rim_mm: float = 0.0
-
-
 def extent_of(camera: Camera) -> Extent:
     """A camera's field on the panel."""
     outline = camera.outline_mm()
     if not np.isfinite(outline).all():
-        return Extent(0.0)
+        return Extent()
     x, y = outline.T
     area_mm2 = abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))) / 2
     rim_mm = float(np.hypot(x - np.roll(x, -1), y - np.roll(y, -1)).sum())
     return Extent(area_mm2 / 1e6, (float(x.min()), float(y.min()), float(x.max()), float(y.max())), rim_mm)
 
 
-def panel_of(snapshot: Snapshot, extent: Extent) -> Panel:
-    """A published result as the statistics take it; its time is the result's."""
-    defects = snapshot.defects
+def panel_of(snapshot: Snapshot, one_frame: Extent) -> Panel:
+    """A published result as the statistics take it; its time is the result's. ``one_frame``: what a frame sees."""
+    defects, extent = snapshot.defects, snapshot.extent or one_frame
     return Panel(
         at_s=snapshot.result_at_s or 0.0,
         recipe_id=snapshot.recipe_id,

@@ -205,6 +205,16 @@ class PlcSide:
 
 
 @dataclass(frozen=True, slots=True)
+class Extent:
+    """What was inspected, in panel coordinates: area (0: not known), the box about it (x_min, y_min, x_max, y_max)
+    and the length of its rim."""
+
+    area_m2: float = 0.0
+    bounds_mm: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    rim_mm: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class PanelFrame:
     """A frame's part in its panel: what it says, and how far the panel had moved since its first frame, mm."""
 
@@ -243,8 +253,8 @@ class PanelResult:
     """As the PLC gave it; None if it gave none."""
     travels_mm: tuple[float, ...] = ()
     """Of each frame, how far the panel had moved since its first one."""
-    area_m2: float = 0.0
-    """What was seen of the panel, square metres; 0 where it is not known."""
+    extent: Extent = Extent()
+    """What was seen of the panel."""
     elapsed_us: float = 0.0
     """Time the inspections of its frames took."""
 
@@ -258,6 +268,12 @@ class Snapshot:
     sequence: int = 0
     acquisition_id: int = 0
     panel_id: int = 0
+    panel_frames: int = 1
+    """Frames of the panel that the result is of."""
+    frames_so_far: int = 0
+    """Frames of the panel under way, where panels have several."""
+    extent: Extent | None = None
+    """What was seen of the panel; None: what one frame sees."""
     recipe_id: int = 0
     verdict: Verdict = Verdict.NOT_INSPECTED
     reasons: Reason = Reason(0)

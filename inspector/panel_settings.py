@@ -37,10 +37,12 @@ class ByInput(Strict):
     """What says that a panel is in view: the input on, or off."""
     debounce_s: float = Field(0.1, ge=0, le=10)
     """The panel ends when the input has been otherwise for this time, seconds; frames taken meanwhile are not of it."""
+    poll_s: float = Field(0.02, gt=0, le=1)
+    """It is read this often, seconds, while no frame is taken; and once with each frame, after its exposure."""
 
 
 class ByPlcMarks(Strict):
-    """The frames between PANEL_START and PANEL_END of the PLC's control block are a panel."""
+    """The frames between PANEL_START and PANEL_END of the PLC's control block are a panel; a start ends it too."""
 
     kind: Literal["plc"]
     """The PLC says when a panel begins and ends."""

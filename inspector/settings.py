@@ -18,11 +18,12 @@ from pydantic import ConfigDict, Field, PositiveFloat
 
 from firmware_bridge import settings as bridge
 from firmware_bridge.camera_settings import CameraSettings
-from inspector import lamp_curve_file, recipe_folder, recipe_proof, yaml_document
+from inspector import lamp_curve_file, panel_proof, recipe_folder, recipe_proof, yaml_document
 from inspector.acquire.light import LightSettings
 from inspector.calibration_file import CalibrationError
 from inspector.calibration_file import read as read_calibration
 from inspector.judge.spc.settings import StatisticsSettings
+from inspector.panel_settings import PanelSettings
 from inspector.publish.plc_settings import PlcSettings
 from inspector.recipe import Recipe, Strict, find
 from inspector.yaml_document import Document, Place, Problem
@@ -143,6 +144,8 @@ class Settings(Strict):
     """File in which the PLC's last choice of a recipe is kept over restarts; null: `recipe` holds after each."""
     cycle: CycleSettings = CycleSettings()
     """The inspection cycle."""
+    panel: PanelSettings = PanelSettings()
+    """What makes a panel of frames; by default each frame is one."""
     light: LightSettings | None = None
     """The reference patch by which the light is kept constant; null: there is none."""
     statistics: StatisticsSettings = StatisticsSettings()
@@ -198,6 +201,7 @@ def load(path: Path) -> Settings:
     if settings:
         problems += tuple(_recipe_problems(document, settings, path.parent))
         problems += (*_pace_problems(document, settings), *_trigger_problems(document, settings))
+        problems += tuple(_panel_problems(document, settings, path.parent))
         problems += (*_patch_problems(document, settings, path.parent), *_tls_problems(document, settings, path.parent))
     if settings is None or problems:
         raise SettingsError(problems)
@@ -284,7 +288,8 @@ def _recipe_problems(document: Document, settings: Settings, folder: Path) -> It
     """What in a recipe does not fit the station, for every recipe that may come to be used."""
     with suppress(CalibrationError):  # said already
         camera = read_calibration(folder / settings.calibration).camera
-        panel, reach = recipe_proof.seen_by(camera), (settings.lamp.curve[0][0], settings.lamp.curve[-1][0])
+        seen = None if settings.panel.several else recipe_proof.seen_by(camera)
+        panel, reach = settings.panel.area or seen, (settings.lamp.curve[0][0], settings.lamp.curve[-1][0])
         for n, recipe in enumerate(settings.recipes or (settings.recipe,)):
             place: Place = ("recipes", n) if settings.recipes else ("recipe",)
             for below, value, allowed in recipe_proof.misfits(recipe, reach, panel):
@@ -356,6 +361,18 @@ def _trigger_problems(document: Document, settings: Settings) -> Iterator[Proble
         allowed = f"0 to {count - 1}" if count else "none: choose another trigger or module"
         what = f"{settings.module.profile} has {count} digital inputs; allowed: {allowed}"
         yield document.problem(("cycle", "trigger", "channel"), trigger.channel, what)
+
+
+def _panel_problems(document: Document, settings: Settings, folder: Path) -> Iterator[Problem]:
+    """What of the making of panels does not fit the station."""
+    camera, trigger = None, settings.cycle.trigger
+    with suppress(CalibrationError):  # said already
+        camera = read_calibration(folder / settings.calibration).camera
+    bank = settings.module.profile_row.digital_inputs
+    channel = trigger.channel if isinstance(trigger, DigitalInput) else None
+    by_line = isinstance(trigger, HardwareLine)
+    for misfit in panel_proof.misfits(settings.panel, bank.count if bank else 0, channel, by_line, camera):
+        yield document.problem(*misfit)
 
 
 def _patch_problems(document: Document, settings: Settings, folder: Path) -> Iterator[Problem]:

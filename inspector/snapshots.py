@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from inspector.acquire.device_faults import FAULTS
 from inspector.faults import Fault
 from inspector.lifecycle import Event, after
-from inspector.model import Frame, FrameResult, Reason, Snapshot, State, Verdict
+from inspector.model import Frame, FrameResult, PanelResult, Reason, Snapshot, State, Verdict
 
 FRAME_FAULTS = {
     Reason.FRAME_UNREADABLE: Fault.CAMERA_FRAME_WRONG,
@@ -66,6 +66,44 @@ def inspected(last: Snapshot, frame: Frame, result: FrameResult, times: Times) -
     return _counted(shown, result.verdict, times)
 
 
+def taken(last: Snapshot, frame: Frame, result: FrameResult | None = None) -> Snapshot:
+    """A frame of a panel that is not done, or (``result`` None) of none: the station as it is, with its last result.
+
+    A frame that cannot be judged is a fault, and takes back the last verdict as any fault does.
+    """
+    shown = replace(
+        last,
+        state=after(last.state, Event.RECOVERED, Event.PREPARED, Event.STARTED_CONTINUOUS),
+        fault_code=Fault.NONE,
+        acquisition_id=frame.frame_id,
+        lamp_read_v=frame.lamp_v or 0.0,
+        exposure_us=frame.exposure_us or 0.0,
+        lamp_ok=True,
+        camera_ok=True,
+    )
+    if result is None or result.verdict is not Verdict.NOT_INSPECTED:
+        return shown
+    reason = next((reason for reason in FRAME_FAULTS if reason in result.reasons), None)
+    fault_code = FRAME_FAULTS[reason] if reason else Fault.NONE
+    shown = replace(shown, fault_code=fault_code, reasons=result.reasons, defects=(), unpaired_count=0)
+    return replace(shown, verdict=Verdict.NOT_INSPECTED)
+
+
+def of_panel(last: Snapshot, panel: PanelResult, now_s: float) -> Snapshot:
+    """A panel of several frames is done; what the station shows of its last frame stays."""
+    shown = replace(
+        last,
+        reasons=panel.reasons,
+        defects=panel.defects,
+        unpaired_count=len(panel.unpaired),
+        panel_frames=len(panel.travels_mm),
+        extent=panel.extent,
+        elapsed_us=panel.elapsed_us,
+    )
+    counted = _counted(shown, panel.verdict, Times(now_s, panel.elapsed_us, last.cycle_us))
+    return replace(counted, panel_id=counted.panel_id if panel.panel_id is None else panel.panel_id)
+
+
 def not_inspected(last: Snapshot, fault: Fault, times: Times) -> Snapshot:
     """A cycle ended without a frame that may be inspected, because of ``fault``."""
     # A lamp that warms up is no error: the station is not ready yet.
@@ -113,6 +151,7 @@ def stopped(last: Snapshot) -> Snapshot:
         reasons=Reason(0),
         defects=(),
         unpaired_count=0,
+        frames_so_far=0,
         statistics=None,
         lamp_read_v=0.0,
         lamp_ok=False,

@@ -1,8 +1,8 @@
 """Which frames make a panel, and how far it had moved in each. Pure: the caller gives the time, on one clock.
 
 Rules. A trigger that brought no frame, missed or failed, keeps its place: the panel's later frames stay where they are,
-a count counts it, and the panel has not been seen whole. A panel that is begun again before its end, whose end does not
-come, or that was begun while nobody looked, is ended all the same, and says what it misses: no panel goes silently.
+a count counts it, and the panel has not been seen whole. A panel whose end does not come, whose start did not come, or
+that began while nobody looked, is ended all the same, and says what it misses: no panel goes silently.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ class _Panel:
 
 
 class Panels:
-    """Gathers frames into panels by ``settings``, where panels have several frames."""
+    """Gathers frames into panels by ``settings``, where panels have several frames. ``missed``: triggers until now."""
 
-    def __init__(self, settings: PanelSettings) -> None:
+    def __init__(self, settings: PanelSettings, missed: int = 0) -> None:
         self._settings, self._frames = settings, settings.frames
         self._count = settings.frames.count if isinstance(settings.frames, ByCount) else None
         self._panel: _Panel | None = None
-        self._trigger, self._missed = 0, 0
+        self._trigger, self._missed = 0, missed
         self._due: int | None = None
         self._last_id: int | None = None
         self._last_trigger = 0
@@ -71,10 +71,10 @@ class Panels:
         return True
 
     def started(self, panel_id: int | None, now_s: float) -> Done:
-        """The PLC says that a panel begins."""
+        """The PLC says that a panel begins; it ends the one before."""
         if not isinstance(self._frames, ByPlcMarks):
             return ()
-        done = self.interrupted("the next panel began before its end")
+        done = self._end() if self._panel else ()
         self._begin(panel_id, now_s)
         return done
 
@@ -140,6 +140,11 @@ class Panels:
         if self._panel is None or now_s - self._panel.latest_s < self._settings.timeout_s:
             return ()
         return self.interrupted(f"neither a frame nor its end came for {self._settings.timeout_s:g} s")
+
+    def misses(self, why: str) -> None:
+        """Something keeps the panel under way, if there is one, from being seen whole."""
+        if self._panel is not None:
+            self._panel.misses(why)
 
     def interrupted(self, why: str) -> Done:
         """The panel under way, if there is one, ends here; frames are counted anew."""

@@ -68,11 +68,15 @@ class Tuning:
             mean_dn, target_dn = self._over_black(frame, self._light)
             self._trim = light.trimmed(self._trim, mean_dn, target_dn, self.level.lamp_percent, self._light, now_s)
 
-    def panel_done(self, result: FrameResult, camera: CameraCapabilities) -> None:
+    def saw(self, result: FrameResult) -> None:
+        """A frame of the panel under way shows this."""
+        if self.follows_spots:
+            self._automatic.saw(exposure.brightness(result))
+
+    def panel_done(self, camera: CameraCapabilities) -> None:
         """Let the level follow the spots of the panel that is done, if the recipe lets it."""
         automatic = self._recipe.automatic_exposure
         if automatic is not None:
-            self._automatic.saw(exposure.brightness(result))
             self._automatic.panel_done(Bounds.of(automatic, camera))
 
     def _over_black(self, frame: Frame, settings: LightSettings) -> tuple[float, float]:

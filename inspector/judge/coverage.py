@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from inspector.model import FloatArray
+from inspector.model import Extent, FloatArray
 from inspector.recipe import Rectangle
 
 STRIPS = 256
@@ -24,9 +24,11 @@ GRID = 64
 class View:
     """What one frame sees of the panel, strip by strip: from ``begins_mm`` to ``ends_mm`` (n,) along the travel.
 
-    ``across_mm`` (n,) are the strips' middles, ``direction`` (2,) the travel's unit vector in the world.
+    ``across_mm`` (n,) are the strips' middles, ``direction`` (2,) the travel's unit vector in the world, ``outline_mm``
+    (m, 2) what it was cut from.
     """
 
+    outline_mm: FloatArray
     direction: FloatArray
     across_mm: FloatArray
     begins_mm: FloatArray
@@ -45,16 +47,31 @@ class View:
         with np.errstate(divide="ignore", invalid="ignore"):
             share = (across[:, None] - t) / (t_next - t)
         crossing = np.where((share >= 0) & (share <= 1), s + share * (s_next - s), np.nan)
-        return View(along, across, np.nanmin(crossing, axis=1), np.nanmax(crossing, axis=1))
+        return View(outline_mm, along, across, np.nanmin(crossing, axis=1), np.nanmax(crossing, axis=1))
 
     @property
     def _lengths_mm(self) -> FloatArray:
         return self.ends_mm - self.begins_mm
 
+    @property
+    def length_mm(self) -> float:
+        """What a frame sees along the travel, through the view's middle, mm."""
+        return float(self._lengths_mm[STRIPS // 2])
+
+    def seen(self, travels_mm: Sequence[float]) -> Extent:
+        """What frames with the panel at ``travels_mm``, one or more, see of it together.
+
+        The rim is that of the convex view drawn along the travel without a gap.
+        """
+        furthest = np.array([-max(travels_mm), -min(travels_mm)])[:, None] * self.direction
+        corners = self.outline_mm + furthest[:, None]
+        (x_min, y_min), (x_max, y_max) = (f(corners, axis=(0, 1)).tolist() for f in (np.min, np.max))
+        sides = np.roll(self.outline_mm, -1, axis=0) - self.outline_mm
+        rim_mm = float(np.hypot(*sides.T).sum()) + 2 * (max(travels_mm) - min(travels_mm))
+        return Extent(self.area_m2(travels_mm), (x_min, y_min, x_max, y_max), rim_mm)
+
     def area_m2(self, travels_mm: Sequence[float]) -> float:
-        """What frames with the panel at ``travels_mm`` see of it together, square metres."""
-        if not len(travels_mm):
-            return 0.0
+        """The area of that, square metres."""
         steps = np.diff(np.sort(travels_mm))
         seen_mm = self._lengths_mm + np.minimum(self._lengths_mm[:, None], steps).sum(axis=1)
         return float(seen_mm.sum() * (self.across_mm[1] - self.across_mm[0])) / 1e6
@@ -62,7 +79,7 @@ class View:
     def longest_gap_mm(self, travels_mm: Sequence[float]) -> float:
         """The longest stretch between two frames that neither sees, through the view's middle, mm; 0 for none."""
         steps = np.diff(np.sort(travels_mm))
-        return max(0.0, float(steps.max(initial=0.0) - self._lengths_mm[STRIPS // 2]))
+        return max(0.0, float(steps.max(initial=0.0)) - self.length_mm)
 
     def unseen_share(self, area: Rectangle, travels_mm: Sequence[float]) -> float:
         """The share of an area of the panel that no frame sees, from 0 to 1, at the middles of a grid's cells."""

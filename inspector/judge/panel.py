@@ -25,6 +25,7 @@ from inspector.judge.overlap import Sightings, groups
 from inspector.judge.verdict import NO_SEED, SURELY_A_SEED, judge
 from inspector.model import (
     Defect,
+    Extent,
     Flag,
     FloatArray,
     PanelFrames,
@@ -91,8 +92,8 @@ def judge_panel(gathered: PanelFrames, station: PanelStation) -> PanelResult:
     lone = _unexplained(gathered, seeds, station)
     defects = tuple(sorted((_merged(group) for group in seeds), key=_highest_first))
     missing, reasons = _missing(gathered, station, travels_mm)
-    area_m2 = station.view.area_m2(travels_mm) if station.view else 0.0
-    verdict, why, texts = judge(defects, lone, _certain(station.limits) if missing else station.limits, area_m2)
+    extent = station.view.seen(travels_mm) if station.view and travels_mm else Extent()
+    verdict, why, texts = judge(defects, lone, _certain(station.limits) if missing else station.limits, extent.area_m2)
     if missing and verdict is Verdict.PASS:
         verdict = Verdict.NOT_INSPECTED
     return PanelResult(
@@ -103,7 +104,7 @@ def judge_panel(gathered: PanelFrames, station: PanelStation) -> PanelResult:
         unpaired=lone,
         panel_id=gathered.panel_id,
         travels_mm=travels_mm,
-        area_m2=area_m2,
+        extent=extent,
         elapsed_us=sum(frame.result.elapsed_us for frame in frames),
     )
 

@@ -44,6 +44,12 @@ def panel_line(snapshot: Snapshot, name: str, texts: tuple[str, ...]) -> str:
     return f"#{snapshot.sequence:<6} {verdict}  {'  '.join(filter(None, (seen, '; '.join(why))))}".rstrip()
 
 
+def frames_of(snapshot: Snapshot) -> str:
+    """Which panel of several frames, and of how many."""
+    count = snapshot.panel_frames
+    return f"panel {snapshot.panel_id}, {count} frame{'' if count == 1 else 's'}"
+
+
 def _defects(snapshot: Snapshot) -> str:
     heights = sorted((defect.height_um for defect in snapshot.defects), reverse=True)
     if not heights:

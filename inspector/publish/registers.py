@@ -90,6 +90,10 @@ def _largest_height_um(p: Publication) -> Number:
     return p.defects[0].height_um if p.defects else 0.0
 
 
+def _area_cm2(p: Publication) -> Number:
+    return None if p.snapshot.extent is None else p.snapshot.extent.area_m2 * 1e4
+
+
 def _status(p: Publication) -> Number:
     s = p.snapshot
     running = s.state in (State.READY, State.SINGLE_EXECUTION, State.CONTINUOUS_EXECUTION)
@@ -147,6 +151,10 @@ RESULT_FIELDS = (
     _F(47, "command_echo", "u16", "code", "Command begun last", lambda p: p.snapshot.plc.command_echo),
     _F(48, "command_result", "u16", "code", "How it ended, see Commands", lambda p: p.snapshot.plc.command_result),
     _F(50, "recipe_hash", "u32", "id", "Changes when what the recipe says does", lambda p: p.snapshot.recipe_hash),
+    _F(52, "panel_frames", "u16", "count", "Frames of the result's panel", lambda p: p.snapshot.panel_frames),
+    _F(53, "panel_frames_so_far", "u16", "count", "Frames of the one under way", lambda p: p.snapshot.frames_so_far),
+    _F(54, "panel_area_cm2", "u32", "cm2", "Of the result's panel seen, where it has several frames; else unknown",
+       _area_cm2),
     _F(124, "sequence_end", "u16", "id", "Equals sequence; compare if read in pieces", lambda p: p.snapshot.sequence),
 )  # fmt: skip
 

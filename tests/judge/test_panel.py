@@ -276,10 +276,12 @@ def test_density_is_over_the_area_that_the_frames_saw_together() -> None:
     one, again, two = judged(frame()), judged(frame(), frame()), judged(frame(), frame(travel_mm=30.0))
     x, y = CALIBRATION.camera.outline_mm().T
     exact = abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))) / 2e6
-    assert one.area_m2 == pytest.approx(exact, rel=2e-3)
-    assert again.area_m2 == one.area_m2
-    assert one.area_m2 < two.area_m2 <= one.area_m2 + 30.0 * (y.max() - y.min()) / 1e6 * 1.001
-    limit = 1 / ((one.area_m2 + two.area_m2) / 2)
+    assert one.extent.area_m2 == pytest.approx(exact, rel=2e-3)
+    assert again.extent.area_m2 == one.extent.area_m2
+    assert one.extent.area_m2 < two.extent.area_m2 <= one.extent.area_m2 + 30.0 * (y.max() - y.min()) / 1e6 * 1.001
+    assert two.extent.bounds_mm == pytest.approx((x.min() - 30.0, y.min(), x.max(), y.max()))
+    assert two.extent.rim_mm == pytest.approx(one.extent.rim_mm + 60.0)
+    limit = 1 / ((one.extent.area_m2 + two.extent.area_m2) / 2)
     at = station(limits={"max_height_um": None, "max_per_m2": limit})
     assert judged(frame(seed(0, 0)), at=at).verdict is Verdict.FAIL
     assert judged(frame(seed(0, 0)), frame(seed(30, 0), travel_mm=30.0), at=at).verdict is Verdict.PASS

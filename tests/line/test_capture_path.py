@@ -32,6 +32,7 @@ from firmware_bridge.errors import (
 )
 from firmware_bridge.factory import Devices
 from inspector.cycle import Cycle
+from inspector.faults import Fault
 from inspector.model import Frame, FrameResult, Snapshot, State, Verdict
 from inspector.publish.registers import decode, encode
 from inspector.settings import Settings
@@ -271,7 +272,8 @@ class Line(RuleBasedStateMachine):
         else:
             assert registers["verdict"] == Verdict.NOT_INSPECTED
             assert registers["fault_code"] != 0
-            assert registers["state"] == State.ERROR
+            settles = registers["fault_code"] == Fault.LAMP_WARMING_UP  # after a change of the lamp's level
+            assert registers["state"] == (State.INITIALIZED if settles else State.ERROR)
 
     @rule()
     def the_line_stands(self) -> None:
