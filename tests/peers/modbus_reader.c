@@ -1,7 +1,7 @@
 /* A Modbus client on libmodbus: reads the same registers again and again, as fast as it can.
  *
- * usage: modbus_reader HOST PORT FUNCTION ADDRESS COUNT READS      over TCP, or
- *        modbus_reader DEVICE UNIT FUNCTION ADDRESS COUNT READS    over a serial line, 9600 baud, where DEVICE has a /
+ * usage: modbus_reader HOST PORT FUNCTION ADDRESS COUNT READS [PAUSE_US]     over TCP, or
+ *        modbus_reader DEVICE UNIT FUNCTION ADDRESS COUNT READS [PAUSE_US]   over a serial line, 9600 baud: has a /
  * stdout: READS * COUNT registers, 16 bit, in the machine's byte order
  * stderr: seconds taken, then median, 99th percentile and longest read in us; or what went wrong (exit status 1)
  */
@@ -29,12 +29,12 @@ static int fail(const char *what) {
 }
 
 int main(int argc, char **argv) {
-    if (argc != 7) {
-        fprintf(stderr, "usage: %s HOST PORT FUNCTION ADDRESS COUNT READS\n", argv[0]);
+    if (argc != 7 && argc != 8) {
+        fprintf(stderr, "usage: %s HOST PORT FUNCTION ADDRESS COUNT READS [PAUSE_US]\n", argv[0]);
         return 2;
     }
     int function = atoi(argv[3]), address = atoi(argv[4]), count = atoi(argv[5]);
-    long reads = atol(argv[6]);
+    long reads = atol(argv[6]), pause_us = argc == 8 ? atol(argv[7]) : 0;
     int serial = strchr(argv[1], '/') != NULL;
     modbus_t *client = serial ? modbus_new_rtu(argv[1], 9600, 'N', 8, 1) : modbus_new_tcp_pi(argv[1], argv[2]);
     if (serial) modbus_set_slave(client, atoi(argv[2]));
@@ -51,7 +51,8 @@ int main(int argc, char **argv) {
         if (got != count) return fail("read");
         double now = seconds();
         took[i] = now - before;
-        before = now;
+        if (pause_us) nanosleep(&(struct timespec){pause_us / 1000000, pause_us % 1000000 * 1000}, NULL);
+        before = pause_us ? seconds() : now;
     }
     double all = before - start;
     qsort(took, reads, sizeof *took, longer);
