@@ -62,6 +62,7 @@ def test_a_lamp_that_fails_while_the_line_stands_takes_the_last_verdict_back(
 ) -> None:
     at_work = bench(cycle=BY_HAND, module=WATCHED, camera={"kind": "replay", "paths": ["frames"], "deadline_s": 0.1})
     at_work.camera.permits.release(2)
+    shown(at_work, lambda r: r["state"] == State.READY, "ready")  # an earlier call is not for this station
     at_work.signals.request_trigger()
     shown(at_work, lambda r: r["verdict"] == Verdict.PASS, "a pass")
     at_work.lamp.fails = NoReply("module", "silent")

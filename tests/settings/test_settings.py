@@ -58,7 +58,7 @@ def test_a_right_file_is_settings_with_its_paths_ready(write: Write, tmp_path: P
 @pytest.mark.parametrize(
     ("sections", "expected"),
     [
-        ({"plc": {"prot": 1}}, "plc.prot: 1: unknown key (did you mean port?); allowed here: host, port, unit_ids"),
+        ({"plc": {"prt": 1}}, "plc.prt: 1: unknown key (did you mean port?); allowed here: host, port, unit_ids"),
         ({"plc": {"port": "5020"}}, "plc.port: '5020': allowed: a whole number from 0 to 65535"),
         ({"plc": {"port": 70000}}, "plc.port: 70000: allowed: a whole number from 0 to 65535"),
         ({"plc": {"allow": ["10.0.0.0/33"]}}, "plc.allow[0]: '10.0.0.0/33': allowed: an address or a network"),
