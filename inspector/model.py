@@ -67,6 +67,8 @@ class Flag(enum.IntFlag):
     FAINT = 1 << 12
     TOUCHING = 1 << 13
     SUNK = 1 << 14
+    CROWDED = 1 << 15
+    """In a tangle of spots too large to be fitted: where it is, is known to half a pixel only."""
 
     def names(self) -> tuple[str, ...]:
         """The set flags' names in lower case, lowest bit first."""

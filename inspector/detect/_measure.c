@@ -4,7 +4,7 @@
 typedef struct {      /* what spots are flagged by, the flags' bits, and what is believed of a fit; see highlights.py */
     double min_area_px, max_area_px, lost_px, lost_variance, systematic_variance;
     double flux_sigma, clipped_flux_sigma, guessed_flux_sigma;
-    i64 saturated, touching, too_small, too_large, at_edge, hot, unsure_flux, held;
+    i64 saturated, touching, too_small, too_large, at_edge, hot, crowded, unsure_flux, held;
 } Standards;
 
 typedef struct {      /* the panel's grey value at tile centres */
@@ -42,9 +42,8 @@ typedef struct {      /* centres (n, 2), covariance (n, 4), flux (n) and the dev
     double *xy, *covariance, *flux, *flux_sigma;
 } Believed;
 
-/* What a fit is taken to say: where it ran away, and of a hot pixel, the plain centre, known badly.
- * The flux of a clipped spot hangs on its
- * blur: in a frame that shows none unclipped it is little more than a guess. */
+/* What a fit is taken to say: where it ran away, and of a hot pixel, the plain centre, known badly. The flux of
+ * a clipped spot hangs on its blur: in a frame that shows none unclipped it is little more than a guess. */
 static void believe(const Standards *s, int blur_known, const double *t, const double *f, i64 i, const Believed *b) {
     double *xy = b->xy + 2 * i, *c = b->covariance + 4 * i, scale = f[FOUND_CHI2] <= 1 ? 1 : f[FOUND_CHI2];
     double away = fmax(fabs(f[FOUND_X] - t[CENTRE_X]), fabs(f[FOUND_Y] - t[CENTRE_Y])), peak = f[FOUND_PEAK];
@@ -53,7 +52,8 @@ static void believe(const Standards *s, int blur_known, const double *t, const d
     c[3] = f[FOUND_VARIANCE_Y] * scale + s->systematic_variance;
     xy[0] = f[FOUND_X], xy[1] = f[FOUND_Y], b->flux[i] = f[FOUND_FLUX];
     b->flux_sigma[i] = t[SATURATED_PX] > 0 ? (blur_known ? s->clipped_flux_sigma : s->guessed_flux_sigma) : s->flux_sigma;
-    int fine = t[IS_HOT] == 0 && away < s->lost_px && isfinite(xy[0] + xy[1]) && b->flux[i] > 0 && isfinite(b->flux[i] + c[0] + c[1] + c[3]);
+    int fine = t[IS_HOT] == 0 && away < s->lost_px && isfinite(xy[0] + xy[1]) && b->flux[i] > 0 &&
+               isfinite(b->flux[i] + c[0] + c[1] + c[3]);
     if (fine) return;
     xy[0] = t[CENTRE_X], xy[1] = t[CENTRE_Y];
     c[0] = c[3] = s->lost_variance, c[1] = c[2] = 0;
@@ -70,7 +70,10 @@ i64 kernel_measure(const Image *im, i64 tile_rows, i64 tile_columns, const doubl
     Believed b = {believed, believed + 2 * n, believed + 6 * n, believed + 7 * n};
     int known = prepare(im, &ground, s, components, n, table, flags, given);
     int fine = known >= 0 && kernel_fit(im, u, n, given, found) >= 0;
-    for (i64 i = 0; fine && i < n; i++) believe(s, known, table + i * COLUMNS, found + i * FOUND, i, &b);
+    for (i64 i = 0; fine && i < n; i++) {
+        if (isinf(found[i * FOUND + FOUND_CHI2])) flags[i] |= s->crowded;
+        believe(s, known, table + i * COLUMNS, found + i * FOUND, i, &b);
+    }
     free(given);
     return fine ? known : -1;
 }

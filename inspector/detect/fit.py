@@ -5,8 +5,8 @@ Gaussian (J. Anderson, I. King, PASP 112, 2000, say why a fitted profile beats a
 A clipped pixel asks only that the model be at least as bright: the flanks carry the position. Where charge blooms,
 clipped pixels and the ends of their runs tell nothing. Neighbours are subtracted with their own latest model, and
 spots that touch are solved together. The blur of a spot is held near what the frame's spots show, each by how well it
-knows its own: flanks tell position well but blur badly, and faint spots both. The loops are in `_fit.c`; this file sets
-what they go by.
+knows its own: flanks tell position well but blur badly, and faint spots both. The loops are in `_fit.c`,
+`_equations.c` and `_tangles.c`; this file sets what they go by.
 """
 
 from __future__ import annotations
@@ -22,11 +22,14 @@ from inspector.optics import Sensor
 
 X, Y, VARIANCE_X, COVARIANCE_XY, VARIANCE_Y, PEAK, FLUX, BLUR2, CHI2 = range(9)
 MISFIT_X, MISFIT_Y, MISFIT_SIGMA, GROUND, BLUR_XX, BLUR_XY, BLUR_YY = range(9, 16)
-"""Columns of what the fit found, as `_fit.c` numbers them."""
+"""Columns of what the fit found, as `_kernel.h` numbers them."""
 WINDOW_RADIUS_PX = (4.0, 12.0)
 """Radius of the fit's windows, least and most: the spot and two pixels of background around it."""
 ROUNDS, SETTLED_PX = 40, 0.002
 """Gauss-Newton rounds at most, and the move under which a fit has settled; isolated spots take four or five."""
+MOST_WORK = 750_000.0
+"""Work that a round is worth, in pixels at which a Gaussian is evaluated; a frame of 200 spots takes a tenth.
+Tangles past it, the largest first, are solved spot by spot, or, if that is too much as well, not at all."""
 HELD_SHARE, FREE_SHARE = 0.1, 0.15
 """How far the blur's variance may be from the usual, as a share of it: clipped or touching spots, free ones."""
 SCATTER_SHARE = 0.1
@@ -94,12 +97,12 @@ class Response:
         return np.asarray(self.read_dn**2 + shot + (PATTERN_SHARE * light) ** 2)
 
     def rules(self, bloom: tuple[int, int], threshold_dn: float) -> bytes:
-        """What the fit goes by: `Rules` of `_fit.c`. ``bloom``: from a clipped pixel to where its charge runs."""
+        """What the fit goes by: `Rules` of `_fit.h`. ``bloom``: from a clipped pixel to where its charge runs."""
         light = (self.black_dn, self.sensor.gamma, self.clipped_dn, self.sensor.saturation_dn, self.level)
         noise = (self.read_dn, self.shot_per_dn, PATTERN_SHARE)
         shares = (HELD_SHARE, FREE_SHARE, STEEP_SHARE, SCATTER_SHARE, SHARPER)
         windows = (threshold_dn, *WINDOW_RADIUS_PX, TANGLED_PX, DAMPING, SETTLED_PX)
-        return struct.pack("19d3q", *light, *noise, *windows, *shares, *bloom, ROUNDS)
+        return struct.pack("20d3q", *light, *noise, *windows, *shares, MOST_WORK, *bloom, ROUNDS)
 
 
 @dataclass(frozen=True)

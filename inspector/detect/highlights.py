@@ -45,11 +45,12 @@ FLAG_BITS = tuple(
     int(flag)
     for flag in (
         *(Flag.SATURATED, Flag.TOUCHING, Flag.TOO_SMALL, Flag.TOO_LARGE, Flag.AT_EDGE, Flag.HOT_PIXEL),
+        Flag.CROWDED,
         *(UNSURE_FLUX, HELD),
     )
 )
 """The bits that `_measure.c` sets and asks for, as it takes them."""
-_STANDARDS = struct.Struct("8d8q")
+_STANDARDS = struct.Struct("8d9q")
 
 
 class FrameRefused(ValueError):
@@ -143,10 +144,10 @@ def _lit(
             Reason.FRAME_BLACK,
             f"the frame is black (nothing above {lit.largest:.0f} DN): check lamp, lens cap and exposure",
         )
-    if lit.components > detection.max_highlights:
+    if len(lit.spots) > detection.max_highlights:
         raise FrameRefused(
             Reason.TOO_MANY_HIGHLIGHTS,
-            f"{lit.components} highlights, more than max_highlights ({detection.max_highlights}): clean or shield the"
+            f"{len(lit.spots)} highlights, more than max_highlights ({detection.max_highlights}): clean or shield the"
             " panel",
         )
     return lit

@@ -16,7 +16,9 @@ SURELY_A_SEED = Flag.MERGED | Flag.PARTNER_HIDDEN | Flag.PARTNER_OUTSIDE_FRAME
 """An unpaired highlight with one of these is a seed whose height cannot be told."""
 NO_SEED = Flag.PAINT_POOL | Flag.HOT_PIXEL
 """An unpaired highlight with one of these is no seed, whatever else it is: it touches one, or is the sensor's."""
-EXPLAINED = SURELY_A_SEED | NO_SEED | Flag.DUST
+UNTOLD = Flag.CROWDED
+"""Whatever has this, paired or not, stands for seeds that could not be told apart."""
+EXPLAINED = SURELY_A_SEED | UNTOLD | NO_SEED | Flag.DUST
 """Any other unpaired highlight is unexplained."""
 
 
@@ -54,7 +56,7 @@ def judge(
     findings = [*_unknown(len(judged) - len(measured)), *_density(len(judged), limits, area_m2)]
     for scope in _scopes(judged, limits):
         findings += [*_heights(scope, limits), *_count(scope)]
-    findings += [*_unmeasured(unpaired, limits), *_unexplained(unpaired, limits)]
+    findings += [*_unmeasured(judged, unpaired, limits), *_unexplained(unpaired, limits)]
     verdict = Verdict.FAIL if any(f.fails for f in findings) else Verdict.PASS
     reasons = Reason(0)
     for finding in findings:
@@ -138,12 +140,13 @@ def _density(count: int, limits: Limits, area_m2: float) -> Iterator[Finding]:
         yield Finding(Reason.DENSITY_LIMIT, True, text)
 
 
-def _unmeasured(unpaired: Iterable[Unpaired], limits: Limits) -> Iterator[Finding]:
-    seeds = [u for u in unpaired if u.flags & SURELY_A_SEED and not u.flags & NO_SEED]
+def _unmeasured(judged: Iterable[Defect], unpaired: Iterable[Unpaired], limits: Limits) -> Iterator[Finding]:
+    seeds: list[Defect | Unpaired] = [d for d in judged if d.flags & UNTOLD]
+    seeds += [u for u in unpaired if u.flags & UNTOLD or (u.flags & SURELY_A_SEED and not u.flags & NO_SEED)]
     if seeds:
         why = Flag(0)
         for seed in seeds:
-            why |= seed.flags & SURELY_A_SEED
+            why |= seed.flags & (SURELY_A_SEED | UNTOLD)
         text = f"{_seeds(len(seeds))} without a measurable height ({', '.join(why.names())})"
         yield Finding(Reason.UNMEASURED_SEED, limits.unmeasured_seed == "fail", text)
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inspector.detect import highlights
-from inspector.model import Flag, FloatArray, Highlights
+from inspector.model import Flag, FloatArray, Highlights, Reason
 from inspector.recipe import Detection
 
 
@@ -194,3 +194,29 @@ def test_a_panel_without_highlights_has_none() -> None:
     assert len(found) == 0
     assert found.xy_px.shape == found.binary_px.shape == (0, 2)
     assert found.covariance_px2.shape == (0, 2, 2)
+
+
+def test_a_tangle_too_large_to_fit_keeps_its_centroids_known_badly_and_says_so() -> None:
+    """Beside it, a spot of its own is fitted as ever."""
+    side = 4.0 * np.arange(44) + 100.2
+    tangle = np.column_stack([axis.ravel() for axis in np.meshgrid(side, side)])
+    alone = np.array([[500.3, 400.6]])
+    found = find(Drawing(), np.concatenate([tangle, alone]), 150)
+    crowded = found.flags & Flag.CROWDED != 0
+    index = nearest(found, alone)[0]
+    assert crowded.sum() > 0.95 * len(tangle)
+    assert not crowded[index]
+    assert np.abs(found.xy_px[index] - alone[0]).max() < 0.03
+    assert np.abs(found.xy_px[nearest(found, tangle)] - tangle).max() < 1.5
+    assert found.covariance_px2[crowded][:, [0, 1], [0, 1]].min() >= 0.25
+
+
+def test_more_spots_than_highlights_may_be_are_refused_though_they_are_one_component() -> None:
+    """A bright, structured patch: one component of thousands of local maxima, with shallow ground between them."""
+    drawing = Drawing(panel_dn=10)
+    image = drawing.draw(np.empty((0, 2)), np.empty(0))
+    rows, columns = np.mgrid[100:220, 100:220]
+    image[100:220, 100:220] = 120 + 40 * ((rows % 2 == 0) & (columns % 2 == 0))
+    with pytest.raises(highlights.FrameRefused) as refused:
+        highlights.find(image, Detection(threshold_dn=60.0), drawing.sensor)
+    assert refused.value.reason is Reason.TOO_MANY_HIGHLIGHTS

@@ -99,6 +99,13 @@ def test_a_seed_without_a_height_fails_unless_told_to_report(flag: Flag) -> None
     assert verdict_of(unpaired=lone, unmeasured_seed="report") == (Verdict.PASS, Reason.UNMEASURED_SEED)
 
 
+def test_spots_that_could_not_be_told_apart_are_never_a_pass_whatever_else_they_are() -> None:
+    """Not even where each has a partner and a height: with other partners they would have other heights."""
+    crowded = Flag.CROWDED | Flag.PAINT_POOL | Flag.TOO_LARGE
+    assert verdict_of(replace(seed(10), flags=Flag.CROWDED)) == (Verdict.FAIL, Reason.UNMEASURED_SEED)
+    assert verdict_of(unpaired=(Unpaired(1, 2, crowded),)) == (Verdict.FAIL, Reason.UNMEASURED_SEED)
+
+
 def test_only_unexplained_highlights_count_against_their_limit() -> None:
     explained = tuple(Unpaired(1, 2, f) for f in (Flag.DUST, Flag.HOT_PIXEL, Flag.PAINT_POOL | Flag.MERGED))
     unexplained = (Unpaired(1, 2, Flag.AMBIGUOUS), Unpaired(1, 2))
