@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Callable
+import math
+import subprocess
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 
+from inspector.control import PlcControl
 from inspector.handshake_table import Answer, Command, CommandResult, Control
-from inspector.model import State, Verdict
+from inspector.model import Snapshot, State, Verdict
+from inspector.publish.plc_server import PlcServer
 from inspector.publish.registers import CONTROL_ADDRESS
 from tests.line.conftest import Plc
 from tests.line.test_daemon import Bench, bench, reload, shown
@@ -205,3 +210,64 @@ def test_new_settings_leave_the_handshake_where_it_stands(line: Callable[..., Li
     moved = shown(at.station, lambda r: at.station.daemon.port != port, "another server")
     assert (moved["sequence"], moved["verdict"]) == (1, Verdict.PASS)
     assert {Answer.RESULT_AVAILABLE, Answer.TRIGGER_ACK} <= set(Answer(moved["handshake"]))
+
+
+def test_a_foreign_client_triggers_and_acknowledges(line: Callable[..., Line], peer: Callable[[str, str], str]) -> None:
+    at, mbpoll = line(), peer("mbpoll", "mbpoll")
+
+    def write(address: int, *words: int) -> None:
+        place = ["-p", str(at.station.daemon.port), "-0", "-r", str(address), "-t", "4"]
+        command = [mbpoll, "-m", "tcp", *place, "-1", "127.0.0.1", *map(str, words)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+    at.until_set(Answer.TRIGGER_READY)
+    write(CONTROL_ADDRESS + 2, 1, 2)
+    write(CONTROL_ADDRESS, Control.TRIGGER)
+    at.until_set(Answer.TRIGGER_ACK)
+    write(CONTROL_ADDRESS, 0)
+    at.station.camera.permits.release()
+    assert at.until_set(Answer.RESULT_AVAILABLE)["panel_id"] == 0x10002
+    write(CONTROL_ADDRESS, Control.RESULTS_ACK, 1)
+    at.until_off(Answer.RESULT_AVAILABLE)
+
+
+@pytest.fixture
+def control() -> Iterator[tuple[PlcControl, PlcServer]]:
+    """A handshake and its server, with nobody who beats."""
+    made = PlcControl(Snapshot(state=State.READY), lambda: None)
+    server = PlcServer(port=0, stall_after_s=0.01, on_control=made.write)
+    server.start()
+    made.serve(server, "high_first", False)
+    made.ready(True)
+    yield made, server
+    server.stop()
+
+
+def test_a_stalled_station_takes_no_trigger(
+    control: tuple[PlcControl, PlcServer], wait_until: Callable[..., Any]
+) -> None:
+    made, server = control
+    wait_until(lambda: server.stalled, "a stall")
+    with contextlib.closing(Plc(server.port)) as plc:
+        told = Answer(plc.until(wait_until, lambda r: r["state"] == State.ERROR, "told")["handshake"])
+        assert not told & (Answer.TRIGGER_READY | Answer.ONLINE)
+        assert plc.write(CONTROL_ADDRESS, Control.TRIGGER) == 0
+        assert plc.read()["missed_triggers"] == 1
+    assert made.trigger_s == math.inf
+
+
+def test_a_trigger_taken_that_can_have_no_cycle_is_counted() -> None:
+    made = PlcControl(Snapshot(state=State.READY), lambda: None)
+    made.ready(True)
+    made.write(CONTROL_ADDRESS, [Control.TRIGGER, 0, 0, 5])
+    assert (made.trigger_s < math.inf, made.panel_id) == (True, 5)
+    server = PlcServer(port=0, stall_after_s=120.0, on_control=made.write)
+    server.start()
+    made.cycle_lost()
+    made.serve(server, "high_first", False)
+    with contextlib.closing(Plc(server.port)) as plc:
+        read = plc.read()
+    server.stop()
+    assert (made.trigger_s, read["missed_triggers"]) == (math.inf, 1)
+    assert Answer.TRIGGER_MISSED in Answer(read["handshake"])
