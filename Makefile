@@ -27,6 +27,8 @@ soak: setup  ## Pass the tests that take minutes: long runs, with devices that c
 	$(BIN)/pytest -m long $(PYTEST_ARGS)
 	FAULT_SEQUENCES=10000 RANDOM_STREAMS=200000 $(BIN)/pytest tests/bridge/test_fault_sequences.py \
 	  tests/line/test_capture_path.py tests/bridge/test_random_streams.py tests/bridge/test_random_camera_streams.py
+	CROWD_REQUESTS=100000 FUZZ_BYTES=10000000 $(BIN)/pytest tests/publish/test_plc_foreign_crowd.py \
+	  tests/publish/test_plc_clients.py
 	HANDSHAKE_EXAMPLES=1000 $(BIN)/pytest --timeout 3600 tests/line/test_handshake_random.py
 
 check: lint test  ## All that CI runs.

@@ -16,12 +16,14 @@ import stat
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import typer
 
 from firmware_bridge import factory
 from firmware_bridge.errors import BridgeError, NoTrigger
+from firmware_bridge.links.ports import open_serial
 from inspector import calibration_file, yaml_document
 from inspector.acquire.fresh import FreshFrames
 from inspector.publish.plc_server import PlcServer, PlcServerError
@@ -97,6 +99,7 @@ def examine(config: Path, build: Build = factory.build) -> Iterator[Finding]:
         yield from _files(settings)
         yield from _devices(settings, build(settings.camera, settings.module, settings.lamp))
         yield _plc_port(settings)
+        yield from _plc_serial(settings)
     yield _disk(config.absolute().parent)
     yield _clock(time.time())
 
@@ -204,8 +207,8 @@ def _tried(part: str, tried: str, attempt: Callable[[], object], said: Callable[
 
 def _plc_port(settings: Settings) -> Finding:
     plc = settings.plc
-    server = PlcServer(stall_after_s=1.0, **plc.served)
-    tried = f"listen on {plc.host}:{plc.port}"
+    server = PlcServer(stall_after_s=1.0, **plc.served | {"serial": None})
+    tried = f"listen on {plc.host}:{plc.port}" + (f" and {plc.tls.host}:{plc.tls.port}" if plc.tls else "")
     try:
         server.start()
     except PlcServerError as error:
@@ -215,6 +218,13 @@ def _plc_port(settings: Settings) -> Finding:
     if local:
         return Finding("PLC port", State.WARNING, tried, "free, for this machine only", "set plc.host for a real PLC")
     return Finding("PLC port", State.OK, tried, "free")
+
+
+def _plc_serial(settings: Settings) -> Iterator[Finding]:
+    line = settings.plc.serial
+    if line is not None:
+        opened = partial(open_serial, "PLC", line.port, baud=line.baud, parity=line.parity, stop_bits=line.stop_bits)
+        yield _tried("PLC line", f"open {line.port}", lambda: opened().close(), lambda _: f"it opens, {line.baud} baud")
 
 
 def _disk(folder: Path) -> Finding:

@@ -222,7 +222,7 @@ def _names(reasons: Reason) -> str:
 
 
 _PLC_SEES = {
-    Fault.CYCLE_STALLED: "NOT_INSPECTED, fault_code 501, state ERROR, and a heartbeat that stands still",
+    Fault.CYCLE_STALLED: "NOT_INSPECTED, fault_code 501, state ERROR; the heartbeat goes on",
     Fault.SETTINGS_REFUSED: "inspection goes on as before; status bit SETTINGS_REFUSED",
 }
 """Where it is not the result of a cycle."""

@@ -67,6 +67,23 @@ def test_without_its_devices_each_is_named_with_what_to_do_and_the_rest_is_still
     assert CliRunner().invoke(app, ["doctor", "--config", str(station.file)]).exit_code == 1
 
 
+def test_the_plcs_serial_line_is_tried_where_there_is_one(station: Any) -> None:
+    assert "PLC line" not in found(station.file)
+    station.settings["plc"]["serial"] = {"port": str(station.folder / "none")}
+    station.write()
+    line = found(station.file)["PLC line"]
+    assert line.state is State.FAILED
+    assert "cannot open" in line.found
+    near, far = os.openpty()
+    try:
+        station.settings["plc"]["serial"]["port"] = os.ttyname(far)
+        station.write()
+        assert found(station.file)["PLC line"].state is State.OK
+    finally:
+        os.close(near)
+        os.close(far)
+
+
 def test_a_silent_module_is_told_with_what_to_check(station: Any, module: Callable[[], ModuleServer]) -> None:
     module().fault = WireFault.SILENT
     finding = found(station.file)["module"]
