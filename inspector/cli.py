@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -250,6 +251,37 @@ def bench(
 
     report = benchmark.run(quick=quick, progress=lambda text: typer.echo(text, err=True))
     typer.echo(json.dumps(report.as_json(), indent=1) if format is BenchFormat.JSON else benchmark.table(report))
+
+
+@app.command()
+def demo(
+    loop: Annotated[bool, typer.Option("--loop", help="The paint loop, live: booth, registers, PLC.")] = False,
+    panels: Annotated[int, typer.Option(min=1, max=60000, help="Panels to paint.")] = 3000,
+    rate: Annotated[float, typer.Option(min=0.1, max=1000, help="Panels a second.")] = 30.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the booth's luck.")] = 1,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port of the registers; 0: any free one.")] = 0,
+    seeds: Annotated[int, typer.Option(min=0, help="Instead of showing one: so many booths, and a table.")] = 0,
+    plc: Annotated[str, typer.Option(help="Another PLC program; it is given the port, orders by lines of JSON.")] = "",
+    plot: Annotated[Path | None, typer.Option(help="With --seeds: also a plot, SVG, into this file.")] = None,
+) -> None:
+    """Show what is to be shown without hardware; the station on recorded frames is `run --config config/demo.yaml`.
+
+    Exit status: 0 shown, 2 nothing was asked for, 69 the port cannot be had.
+    """
+    if not loop:
+        typer.echo("say --loop for the paint loop; for the station: inspector run --config config/demo.yaml", err=True)
+        raise typer.Exit(2)
+    from inspector import loop_demo, loop_plot, loop_proof
+    from inspector.lab.booth import Booth, Deed
+    from inspector.lab.plc_program import PlcProgram
+
+    if not seeds:
+        pace, plc = loop_demo.Pace(panels, rate), plc or f"{sys.executable} -m inspector.lab.plc_client"
+        raise typer.Exit(loop_demo.run(Booth(seed), Booth(seed), Deed.__getitem__, pace, port, plc))
+    comparison = loop_proof.compare_keeping(Booth, PlcProgram, tuple(Deed), seeds, panels)
+    typer.echo(f"{comparison.table()}\n{comparison.sentence()}")
+    if plot:
+        plot.write_text(loop_plot.svg(comparison))
 
 
 @app.command()

@@ -74,13 +74,10 @@ class LineHistory:
         self._remember()
         self._saved_s = clock()
 
-    def after(self, result: Snapshot, extent: Extent | None = None) -> Snapshot:
-        """The result as it is to be published: with the statistics after it, or without any if they fail.
-
-        ``extent``: what was inspected, if it is not the camera's field, as where several frames make a panel.
-        """
+    def after(self, result: Snapshot) -> Snapshot:
+        """The result as it is to be published: with the statistics after it, or without any if they fail."""
         try:
-            statistics = self._monitor.add(panel_of(result, extent or self._extent))
+            statistics = self._monitor.add(panel_of(result, self._extent))
         except Exception as error:
             self._computing.begins(f"{type(error).__name__}: {error}", traceback=True)
             return replace(result, statistics=None, statistics_sequence=result.sequence)

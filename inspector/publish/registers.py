@@ -13,6 +13,7 @@ from __future__ import annotations
 import enum
 import math
 import struct
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -222,6 +223,7 @@ CONTROL_REGISTERS = tuple(_row(field, CONTROL_ADDRESS, field.name, field.meaning
 STATISTICS_REGISTERS = tuple(_row(field, STATISTICS_ADDRESS, field.name, field.meaning) for field in STATISTICS_FIELDS)
 REGISTERS = RESULT_REGISTERS + CONTROL_REGISTERS + LIST_REGISTERS + STATISTICS_REGISTERS
 """Every register there is, by address. Words between them inside an area are reserved and read 0."""
+_ADDRESSES = [row.address for row in REGISTERS]
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,10 +285,11 @@ def decode(
     In the units of the table; None where the register says there is no value.
     """
     end = address + len(words)
+    first, last = bisect_left(_ADDRESSES, address), bisect_left(_ADDRESSES, end)
     return {
         row.name: _value(row, words[row.address - address :][: row.words], word_order)
-        for row in REGISTERS
-        if address <= row.address and row.address + row.words <= end
+        for row in REGISTERS[first:last]
+        if row.address + row.words <= end
     }
 
 

@@ -167,7 +167,13 @@ def test_a_place_that_comes_back_is_told_with_its_place() -> None:
     run(monitor, line, 60, mean=3.0)
     for _ in range(12):
         panel = line.panel(3.0)
-        marked = replace(panel, count=panel.count + 1, places_mm=(*panel.places_mm, (300.0, 100.0)))
+        jitter = float(panel.count)  # as an encoder's panels have it
+        marked = replace(
+            panel,
+            count=panel.count + 1,
+            places_mm=(*panel.places_mm, (300.0, 100.0)),
+            bounds_mm=(0.0, 0.0, 400.0 + jitter, 300.0),
+        )
         statistics = monitor.add(marked)
     assert statistics.rule is Rule.REPEATED_PLACE
     assert statistics.repeated is not None

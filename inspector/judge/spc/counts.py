@@ -61,6 +61,7 @@ def _lower_tail(count: int, mean: float) -> float:
     return total
 
 
+@lru_cache(maxsize=4096)
 def score(count: int, mean: float) -> float:
     """The count as a standard normal value: the quantile of its mid-probability under Poisson's law.
 

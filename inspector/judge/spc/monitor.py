@@ -56,15 +56,17 @@ class Monitor:
         )
         for rule in list(charts.alarms):
             self._age(charts, rule)
-        length = self.settings.window_panels
+        length, place = self.settings.window_panels, None
         charts.inspected = [*charts.inspected, panel.is_sound][-length:]
         if panel.is_sound:
             seen = self._take_in(panel, recipe)
             charts.window = [*charts.window, seen][-length:]
-            self._look_for_places(seen)
+            place = repeated(charts.window, seen, self.settings)
+            self._hold(Rule.REPEATED_PLACE, place is not None)
         else:
             charts.not_inspected += 1
-        return report(panel, charts, recipe, self._count_baseline(panel.recipe_id, recipe), self.settings)
+        base = self._count_baseline(panel.recipe_id, recipe)
+        return report(panel, charts, recipe, base, place, self.settings)
 
     def _recipe(self, recipe_id: int) -> Learning:
         recipes = self._state.recipes
@@ -150,9 +152,6 @@ class Monitor:
         self._hold(Rule.HEIGHT_ABOVE, side == 1)
         self._hold(Rule.HEIGHT_BELOW, side == -1)
         self._hold(Rule.HEIGHT_PATTERN, side == 0)
-
-    def _look_for_places(self, seen: Seen) -> None:
-        self._hold(Rule.REPEATED_PLACE, repeated(self._state.charts.window, seen, self.settings) is not None)
 
     def _raise(self, rule: Rule, broken: bool) -> None:
         """A rule that one panel breaks stands for a while, so that a slow reader sees it."""

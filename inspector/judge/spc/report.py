@@ -17,9 +17,14 @@ HEIGHT_RULES = (Rule.HEIGHT_ABOVE, Rule.HEIGHT_BELOW, Rule.HEIGHT_PATTERN)
 
 
 def report(
-    panel: Panel, charts: Charts, recipe: Learning, base: CountBaseline | None, settings: StatisticsSettings
+    panel: Panel,
+    charts: Charts,
+    recipe: Learning,
+    base: CountBaseline | None,
+    place: Place | None,
+    settings: StatisticsSettings,
 ) -> Statistics:
-    """The statistics after ``panel``, which is the last one; ``base`` is its recipe's baseline of counts."""
+    """The statistics after ``panel``; ``base``: its recipe's baseline of counts, ``place``: where defects come back."""
     seen = charts.window
     rule = min(charts.alarms, default=Rule.NONE)
     since = _since_change(rule, charts)
@@ -27,7 +32,6 @@ def report(
     trend, trend_percent = window.trend_of(seen, sigma_z, settings)
     spread, spread_index = window.spread_of(seen, settings)
     height = heights.summary(list(chain.from_iterable(s.heights_um for s in seen)), settings.large_um)
-    place = window.repeated(seen, seen[-1], settings) if panel.is_sound else None
     mean = base.per_m2 * panel.area_m2 if base and panel.is_sound else None
     limits = counts.limits(mean, sigma_z, settings.limits, settings.tail) if mean else None
     statistics = Statistics(

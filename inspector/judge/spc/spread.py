@@ -99,6 +99,12 @@ def centre_mm(cell: int, bounds_mm: Bounds) -> tuple[float, float]:
     return x_min + column / COLUMNS * (x_max - x_min), y_min + row / ROWS * (y_max - y_min)
 
 
+def is_alike(one: Bounds, other: Bounds) -> bool:
+    """Whether the cells of two panels lie on each other to within half a cell; an encoder's panels are never equal."""
+    reach = (other[2] - other[0]) / COLUMNS / 2, (other[3] - other[1]) / ROWS / 2
+    return all(abs(a - b) <= reach[n % 2] for n, (a, b) in enumerate(zip(one, other, strict=True)))
+
+
 def cell_chance(count: int, bounds_mm: Bounds, area_mm2: float) -> float:
     """How probable it is that one of ``count`` random defects hits a given cell within the inspected area."""
     bounds_mm2 = (bounds_mm[2] - bounds_mm[0]) * (bounds_mm[3] - bounds_mm[1])

@@ -11,6 +11,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 FEWEST_PANELS, FEWEST_DEFECTS = 10, 10
 
 
@@ -24,10 +26,11 @@ class Slope:
 
 def slope(counts: Sequence[int], expected: Sequence[float], sigma_z: float) -> Slope | None:
     """The trend of ``counts`` against what was ``expected`` (in any unit, above 0), oldest first; None: too few."""
-    total, whole = sum(counts), sum(expected)
+    total = sum(counts)
     if len(counts) < FEWEST_PANELS or total < FEWEST_DEFECTS:
         return None
-    mean = sum(n * e for n, e in enumerate(expected)) / whole
-    variance = sum((n - mean) ** 2 * e for n, e in enumerate(expected)) / whole
-    excess = sum((n - mean) * count for n, count in enumerate(counts))
+    share = np.asarray(expected) / sum(expected)
+    place = np.arange(len(counts), dtype=float)
+    place -= float(place @ share)
+    variance, excess = float(place**2 @ share), float(place @ np.asarray(counts))
     return Slope(excess / (total * variance), excess / math.sqrt(total * variance) / sigma_z)

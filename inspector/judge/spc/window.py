@@ -67,7 +67,7 @@ def repeated(window: Sequence[Seen], latest: Seen, settings: StatisticsSettings)
     alike = [
         (s.cell_chance, s.cells)
         for s in window
-        if s.cells and s.recipe_id == latest.recipe_id and s.bounds_mm == latest.bounds_mm
+        if s.cells and s.recipe_id == latest.recipe_id and spread.is_alike(s.bounds_mm, latest.bounds_mm)
     ]
     found = spread.repeated_cell(alike, settings.significance)
     if found is None:
