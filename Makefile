@@ -34,9 +34,7 @@ soak: setup  ## Pass the tests that take minutes: long runs, with devices that c
 check: lint test  ## All that CI runs.
 
 docs: $(VENV)/run.stamp  ## Write again what is generated from the code.
-	$(BIN)/inspector registers --format markdown > deploy/plc/registers.md
-	$(BIN)/inspector registers --format csv > deploy/plc/registers.csv
-	$(BIN)/inspector handshake > deploy/plc/handshake.md
+	$(BIN)/inspector plc-package --output deploy/plc
 	$(BIN)/inspector config schema > config/schema.json
 	$(BIN)/inspector states > docs/states.md
 	$(BIN)/inspector io profiles --format markdown > docs/modules.md

@@ -300,6 +300,21 @@ def handshake() -> None:
     typer.echo(handshake_page.as_markdown(), nl=False)
 
 
+@app.command("plc-package")
+def plc_package(
+    output: Annotated[Path, typer.Option(help="Folder; files of the same names are replaced.")],
+) -> None:
+    """Write what the line's controls engineer needs: register lists and pages. Exit status 1: not written."""
+    from inspector.integrator import package
+
+    try:
+        files = package.write(output)
+    except OSError as error:
+        typer.echo(f"not written: {error}", err=True)
+        raise typer.Exit(1) from error
+    typer.echo("\n".join(map(str, files)))
+
+
 @app.command()
 def faults(format: Annotated[PageFormat, typer.Option(help="How to print it.")] = PageFormat.TABLE) -> None:
     """Print what can go wrong: fault, code, what the PLC sees, what the log says, how it recovers."""
