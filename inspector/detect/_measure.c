@@ -47,9 +47,10 @@ typedef struct {      /* centres (n, 2), covariance (n, 4), flux (n) and the dev
 static void believe(const Standards *s, int blur_known, const double *t, const double *f, i64 i, const Believed *b) {
     double *xy = b->xy + 2 * i, *c = b->covariance + 4 * i, scale = f[FOUND_CHI2] <= 1 ? 1 : f[FOUND_CHI2];
     double away = fmax(fabs(f[FOUND_X] - t[CENTRE_X]), fabs(f[FOUND_Y] - t[CENTRE_Y])), peak = f[FOUND_PEAK];
-    c[0] = f[FOUND_VARIANCE_X] * scale + s->systematic_variance;
+    double aliased = exp(-4 * PI * PI * f[FOUND_BLUR2]);      /* of a blur too sharp for its pixels, px^2 */
+    c[0] = f[FOUND_VARIANCE_X] * scale + s->systematic_variance + aliased;
     c[1] = c[2] = f[FOUND_COVARIANCE_XY] * scale;
-    c[3] = f[FOUND_VARIANCE_Y] * scale + s->systematic_variance;
+    c[3] = f[FOUND_VARIANCE_Y] * scale + s->systematic_variance + aliased;
     xy[0] = f[FOUND_X], xy[1] = f[FOUND_Y], b->flux[i] = f[FOUND_FLUX];
     b->flux_sigma[i] = t[SATURATED_PX] > 0 ? (blur_known ? s->clipped_flux_sigma : s->guessed_flux_sigma) : s->flux_sigma;
     int fine = t[IS_HOT] == 0 && away < s->lost_px && isfinite(xy[0] + xy[1]) && b->flux[i] > 0 &&

@@ -35,7 +35,7 @@ FLUX_SIGMA, CLIPPED_FLUX_SIGMA, BLOOM_FLUX_SIGMA = 0.1, 0.25, 1.2
 """Standard deviation of log flux: fitted whole, fitted on its flanks, and summed where charge was lost."""
 HIDDEN_CHI2, HIDDEN_SIGMA, HIDDEN_GAIN = 12.0, 8.0, 0.5
 """A second spot is tried where a fit is this poor and one pixel off by so much; kept if chi2 falls to this share."""
-HIDDEN_PEAK_SHARE, LEAST_APART_PX = 0.005, 1.2
+HIDDEN_PEAK_SHARE, LEAST_APART_PX = 0.005, 1.7
 """A second spot fainter than this share of the first, or nearer to it, cannot be told from an unsharp one."""
 LOST_PX = 2.5
 """A fit that ends further from where it started is not believed."""
