@@ -33,7 +33,8 @@ HEAD_WORDS = RESULT_WORDS - MAX_WRITE_REGISTERS
 """Written last, with `sequence`; what follows fits one request."""
 LOOK_S = 0.05
 """While an acknowledgement is awaited, the PLC's register is read this often."""
-STOP_DEADLINE_S = 5.0
+STOP_DEADLINE_S = 2.0
+"""The cycle waits no longer for this to end; a thread that still waits for its PLC then ends by itself, unheard."""
 
 
 class Master(Protocol):
@@ -62,7 +63,7 @@ class Poster:
         self._box = Outbox(settings.queue, settings.acknowledge_address is not None, first)
         self._live = first
         self._changed = threading.Condition()
-        self._new, self._stopping = True, False
+        self._new, self._stopping, self._given_up = True, False, False
         self._open, self._written_s = False, -math.inf
         self._delay_s = settings.retry_first_s
         self._outage = Outage(f"posting to {settings.host}:{settings.port}")
@@ -75,12 +76,13 @@ class Poster:
         self._thread.start()
 
     def stop(self) -> Outbox:
-        """End, within the PLC's deadline; what has not arrived."""
+        """End; what has not arrived."""
         with self._changed:
             self._stopping = True
             self._changed.notify()
         if self._thread.is_alive():
-            self._thread.join(self._settings.deadline_s + STOP_DEADLINE_S)
+            self._thread.join(STOP_DEADLINE_S)
+            self._given_up = self._thread.is_alive()
         return self._box
 
     def take_over(self, box: Outbox) -> None:
@@ -109,7 +111,7 @@ class Poster:
     def _run(self) -> None:
         self._until_stopped()
         with contextlib.suppress(BridgeError):
-            if self._open and self._new:
+            if self._open and self._new and not self._given_up:
                 self._turn()  # that the station goes off
         self._master.close()
 

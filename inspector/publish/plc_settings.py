@@ -85,7 +85,7 @@ class PostSettings(Strict):
     """Results that wait while the PLC is away or slow; what finds no room is lost and counted."""
     period_s: float = Field(0.5, gt=0, le=60)
     """The block is written this often when nothing is new, so that heartbeat and age go on, seconds."""
-    deadline_s: float = Field(1.0, gt=0, le=60)
+    deadline_s: float = Field(1.0, gt=0, le=10)
     """The PLC must answer a request in this time, seconds."""
     retry_first_s: float = Field(0.5, gt=0, le=60)
     """After a failure it is tried again after this time, seconds; each further failure doubles it."""

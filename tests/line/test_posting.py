@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from firmware_bridge import factory
 from firmware_bridge.errors import NoReply, Refused
 from firmware_bridge.wire.modbus import MAX_WRITE_REGISTERS, Table
+from inspector import posting
 from inspector.faults import Fault
 from inspector.handshake_table import Answer
 from inspector.model import Defect, Flag, Reason, Snapshot, State, Verdict
@@ -183,6 +184,28 @@ def test_a_full_queue_loses_the_newest_counts_them_and_says_so_once(
     at_work.show(result(6), result(6))
     wait_until(lambda: plc.block["sequence"] == 6, "the next")
     assert len([r for r in caplog.records if "wait for the PLC" in r.getMessage()]) == 1
+
+
+def test_a_plc_that_does_not_answer_does_not_hold_up_the_end(
+    poster: Callable[..., Poster], wait_until: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(posting, "STOP_DEADLINE_S", 0.05)
+    plc, asked, answers = FakeMaster(), threading.Event(), threading.Event()
+
+    def write_many(address: int, values: list[int]) -> None:
+        asked.set()
+        assert answers.wait(20)
+        FakeMaster.write_many(plc, address, values)
+
+    monkeypatch.setattr(plc, "write_many", write_many)
+    at_work = poster(plc)
+    at_work.show(result(1), result(1))
+    assert asked.wait(20)
+    assert at_work.stop().shown.sequence in (0, 1)
+    at_work.show(result(2), result(2))
+    answers.set()
+    wait_until(lambda: len(plc.writes) == 2, "the block under way")
+    assert plc.block["sequence"] in (0, 1)
 
 
 def test_another_poster_goes_on_with_what_was_left(
