@@ -39,13 +39,18 @@ def _y(value: float, top: float) -> float:
     return HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * value / top
 
 
+def _step(most: float) -> int:
+    """Between marks of an axis: 1, 2 or 5 times a power of ten, so that there are ten at most."""
+    steps = (digit * int(10**power) for power in range(9) for digit in (1, 2, 5))
+    return next(step for step in steps if most / step <= 10)
+
+
 def _axes(panels: int, top: float) -> Iterator[str]:
-    step = next(s for s in (1, 2, 5, 10, 20, 50, 100) if top / s <= 10)
-    for value in range(0, int(top) + 1, step):
+    for value in range(0, int(top) + 1, _step(top)):
         y = _y(value, top)
         yield f'<line x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}" stroke="#ddd"/>'
         yield f'<text x="{LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{value}</text>'
-    for n in range(0, panels + 1, max(1, panels // 6)):
+    for n in range(0, panels + 1, _step(panels)):
         yield f'<text x="{_x(n, panels):.1f}" y="{HEIGHT - BOTTOM + 18}" text-anchor="middle">{n}</text>'
     yield f'<text x="{(LEFT + WIDTH - RIGHT) / 2}" y="{HEIGHT - 10}" text-anchor="middle">panels</text>'
     middle = (TOP + HEIGHT - BOTTOM) / 2

@@ -74,7 +74,7 @@ class Program(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """One run: defects of each panel, and how often the crew came."""
+    """One run: defects of each panel, and how much the crew did."""
 
     defects: Sequence[int]
     deeds: int
@@ -158,17 +158,17 @@ class Comparison:
         return [1.0 - mine / other for mine, other in pairs]
 
     def table(self) -> str:
-        """Markdown: settled rate, its spread over the seeds, and how often the crew came."""
+        """Markdown: settled rate, its spread over the seeds, and how much the crew did."""
         lines = [
-            "| booth | defects per panel, mean | sd | 5 % to 95 % of seeds | visits per 1000 panels |",
+            "| booth | defects per panel, mean | sd | 5 % to 95 % of seeds | deeds per 1000 panels |",
             "| --- | --- | --- | --- | --- |",
         ]
         for way, runs in self.runs.items():
             rates = self.rates(way)
             low, high = np.quantile(rates, [0.05, 0.95])
-            visits = fmean(run.deeds for run in runs) / self.panels * 1000
+            deeds = fmean(run.deeds for run in runs) / self.panels * 1000
             spread = stdev(rates) if len(rates) > 1 else 0.0
-            lines.append(f"| {way} | {fmean(rates):.2f} | {spread:.2f} | {low:.2f} to {high:.2f} | {visits:.1f} |")
+            lines.append(f"| {way} | {fmean(rates):.2f} | {spread:.2f} | {low:.2f} to {high:.2f} | {deeds:.1f} |")
         return "\n".join(lines) + "\n"
 
     def sentence(self) -> str:

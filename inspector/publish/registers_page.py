@@ -269,7 +269,8 @@ All defects of the same result, up to {list_defects}, highest first. Defect n be
 How the paint line is doing after the newest result, for a control loop: one read of {statistics_words} registers. What
 is not known yet has no value. `action` is advice and no command; act on it while VALID is set, the age is what your
 line's pace makes it, and `confidence` is enough for you. Command RESET_STATISTICS begins the charts anew, as after a
-repair (its argument 1: also the baselines, when the line is in order as it is now).
+repair (its argument 1: also the baselines, when the line is in order as it is now). How each number comes about, and
+how soon a change is found: `docs/loop.md`.
 
 {statistics}
 
