@@ -198,10 +198,13 @@ def test_a_panel_without_highlights_has_none() -> None:
 
 def test_a_tangle_too_large_to_fit_keeps_its_centroids_known_badly_and_says_so() -> None:
     """Beside it, a spot of its own is fitted as ever."""
-    side = 4.0 * np.arange(44) + 100.2
+    side = 4.0 * np.arange(44) + 20.2
     tangle = np.column_stack([axis.ravel() for axis in np.meshgrid(side, side)])
-    alone = np.array([[500.3, 400.6]])
-    found = find(Drawing(), np.concatenate([tangle, alone]), 150)
+    alone = np.array([[230.3, 220.6]])
+    most_lit = Detection(max_lit_fraction=1.0, threshold_dn=60.0)
+    found = highlights.find(
+        Drawing(shape=(240, 260)).draw(np.concatenate([tangle, alone]), 150), most_lit, Drawing().sensor
+    )
     crowded = found.flags & Flag.CROWDED != 0
     index = nearest(found, alone)[0]
     assert crowded.sum() > 0.95 * len(tangle)
