@@ -221,6 +221,22 @@ def expose(
     raise typer.Exit(command.run(config, frames=frames, settle_s=settle_s, write=write))
 
 
+@app.command()
+def record(
+    config: SettingsFile,
+    output: Annotated[Path, typer.Option(help="A new folder for the session.")],
+    frames: Annotated[int, typer.Option(min=1, max=999_999, help="How many frames.")] = 100,
+    settle_s: Annotated[float, typer.Option(min=0, help="The lamp's time to follow its level, seconds.")] = 1.0,
+) -> None:
+    """Keep frames as a session, with the exposure and lamp level each was taken at; the replay camera shows it.
+
+    Exit status: 0 recorded, 1 not possible (it says why), 69 a device cannot be used, 78 the settings are refused.
+    """
+    from inspector import record as command
+
+    raise typer.Exit(command.run(config, output, frames=frames, settle_s=settle_s))
+
+
 @lamp_app.command("calibrate")
 def lamp_calibrate(
     config: SettingsFile,

@@ -9,7 +9,7 @@ from pathlib import Path
 from firmware_bridge.contracts import CameraCapabilities, CameraFrame
 from firmware_bridge.drivers.pace import Pace
 from firmware_bridge.errors import BridgeError, DeviceGone, EndOfRecording, OutOfRange, ReplyWrong
-from firmware_bridge.wire import image
+from firmware_bridge.wire import image, session
 
 SUFFIXES = frozenset({".png", ".tif", ".tiff", ".bmp", ".pgm", ".npy"})
 """What in a folder is a frame, by the end of its name in lower case."""
@@ -23,8 +23,9 @@ class ReplayCamera:
 
     Files are decoded when they are due, one at a time. A file that cannot be read raises ReplyWrong with its name,
     and the next grab goes on with the next file; a missing folder raises DeviceGone, and after reopening the
-    recording goes on where it was. Recordings do not say at what exposure they were taken: frames carry the one
-    that was set, None before it is set. After the last frame it starts again (``loop``) or raises EndOfRecording.
+    recording goes on where it was. A folder with an index (:mod:`firmware_bridge.wire.session`) is shown in its order,
+    and its frames carry the exposure they were taken at; other recordings do not say: theirs carry the one that was
+    set, None before it is set. After the last frame it starts again (``loop``) or raises EndOfRecording.
     """
 
     simulated = True
@@ -41,6 +42,7 @@ class ReplayCamera:
         self._paths, self._device = tuple(paths), device
         self._loop, self._pace = loop, Pace(rate_hz, deadline_s, device)
         self._files: list[Path] = []
+        self._recorded_us: dict[Path, float | None] = {}
         self._position = 0
         self._taken = 0
         self._exposure_us: float | None = None
@@ -81,7 +83,7 @@ class ReplayCamera:
         except image.ImageWrong as error:
             raise ReplyWrong(self._device, f"{path} {error}") from error  # its words end in what to do
         self._shape = (grey.shape[0], grey.shape[1])
-        return CameraFrame(grey, frame_id, str(path), self._exposure_us, taken_at_s)
+        return CameraFrame(grey, frame_id, str(path), self._recorded_us.get(path, self._exposure_us), taken_at_s)
 
     def _next_file(self) -> Path:
         if self._position >= len(self._files):
@@ -93,11 +95,20 @@ class ReplayCamera:
         return path
 
     def _listed(self) -> list[Path]:
-        """Every file of the paths, a folder's sorted by name. Raises DeviceGone."""
+        """Every file of the paths, a folder's as its index says or sorted by name. Raises DeviceGone."""
         files: list[Path] = []
+        self._recorded_us = {}
         try:
             for path in self._paths:
-                files += _frames_in(path)
+                index = path / session.INDEX
+                if index.is_file():
+                    recorded = session.parse(index.read_text(encoding="utf-8"))
+                    self._recorded_us.update({path / r.file: r.exposure_us for r in recorded})
+                    files += [path / r.file for r in recorded]
+                else:
+                    files += _frames_in(path)
+        except (session.SessionWrong, UnicodeDecodeError) as error:
+            raise DeviceGone(self._device, f"{index}: {error}", "mend the index, or take it away") from error
         except OSError as error:
             what = f"cannot read {error.filename}: {error.strerror}"
             raise DeviceGone(self._device, what, "check the path and its permissions") from error

@@ -1,0 +1,80 @@
+"""The index of a recorded session: a JSON line about the station, then one for each frame, beside the images.
+
+Written line by line, so that a power cut can cost the last line only; a reader passes over a last line that is cut
+short. What a line holds beyond :class:`Recorded` is for people and later versions, and is passed over too.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+
+INDEX = "session.jsonl"
+"""Name of the index in a session's folder."""
+VERSION = 1
+
+
+class SessionWrong(ValueError):
+    """The index cannot be read; the text names the line and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """One frame as it was taken: file beside the index, the camera's id, Unix time s, exposure us and lamp V.
+
+    ``exposure_us`` and ``lamp_v`` as read back, None where they were not known; the others as asked for.
+    """
+
+    file: str
+    frame_id: int
+    taken_at_s: float
+    exposure_us: float | None
+    exposure_set_us: float
+    lamp_v: float | None
+    lamp_set_v: float
+
+
+def first_line(about: Mapping[str, object]) -> str:
+    """The line about the station: its name, settings' hash and whatever else explains the frames."""
+    return json.dumps({"session": VERSION, **about}, ensure_ascii=False) + "\n"
+
+
+def line(recorded: Recorded) -> str:
+    """One frame's line."""
+    return json.dumps(asdict(recorded), ensure_ascii=False) + "\n"
+
+
+def parse(text: str) -> tuple[Recorded, ...]:
+    """The frames of an index, in their order. Raises SessionWrong."""
+    whole, _, _ = text.rpartition("\n")  # a last line without its end was cut short
+    lines = whole.split("\n")
+    heading = _mapping(1, lines[0])
+    if heading.get("session") != VERSION:
+        raise SessionWrong(
+            f"line 1: session is {heading.get('session')!r}, not {VERSION}: take a program that knows it"
+        )
+    return tuple(_recorded(number, text) for number, text in enumerate(lines[1:], 2))
+
+
+def _recorded(number: int, text: str) -> Recorded:
+    said = _mapping(number, text)
+    values = {field.name: said.get(field.name) for field in fields(Recorded)}
+    file = values["file"]
+    if not isinstance(file, str) or not file or "/" in file or file in (".", ".."):
+        raise SessionWrong(f"line {number}: file is {file!r}, not a name beside the index: take the line out")
+    for name, value in values.items():
+        may_miss = name in ("exposure_us", "lamp_v") and value is None
+        if name != "file" and not may_miss and (isinstance(value, bool) or not isinstance(value, int | float)):
+            raise SessionWrong(f"line {number}: {name} is {value!r}, not a number: take the line out")
+    return Recorded(**values)  # type: ignore[arg-type]  # looked through just now
+
+
+def _mapping(number: int, text: str) -> dict[str, object]:
+    try:
+        said = json.loads(text)
+    except ValueError as error:
+        raise SessionWrong(f"line {number}: {error}: take the line out") from error
+    if not isinstance(said, dict):
+        raise SessionWrong(f"line {number}: not a JSON object: take the line out")
+    return said
