@@ -193,7 +193,9 @@ DIALOGUES = (
     Dialogue(
         "Panel start and end",
         "Results between PANEL_START and PANEL_END carry the id given with PANEL_START, whatever control_panel_id says"
-        " by then. PANEL_ACTIVE answers both; a second PANEL_START ends the panel before.",
+        " by then. PANEL_ACTIVE answers both; a second PANEL_START ends the panel before. Here each frame is a result;"
+        " with `panel.frames.kind: plc` all frames between start and end are one, and a PANEL_END without its start is"
+        " a panel that was not inspected.",
         (
             Writes(_C.PANEL_START, control_panel_id=501),
             Writes(control_panel_id=502),
@@ -201,6 +203,8 @@ DIALOGUES = (
             Inspects(),
             Writes(),
             Writes(_C.PANEL_START, control_panel_id=502),
+            Writes(_C.PANEL_END),
+            Writes(),
             Writes(_C.PANEL_END),
             Writes(),
         ),
