@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain
 
 from inspector.judge.spc import actions, counts, heights, runs, window
 from inspector.judge.spc.baseline import CountBaseline, Learning
@@ -31,7 +30,7 @@ def report(
     rate, sigma_z = window.rate(seen), base.sigma_z if base else 1.0
     trend, trend_percent = window.trend_of(seen, sigma_z, settings)
     spread, spread_index = window.spread_of(seen, settings)
-    height = heights.summary(list(chain.from_iterable(s.heights_um for s in seen)), settings.large_um)
+    height = heights.summary([height for s in seen for height in s.heights_um], settings.large_um)
     mean = base.per_m2 * panel.area_m2 if base and panel.is_sound else None
     limits = counts.limits(mean, sigma_z, settings.limits, settings.tail) if mean else None
     statistics = Statistics(

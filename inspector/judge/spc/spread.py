@@ -101,8 +101,11 @@ def centre_mm(cell: int, bounds_mm: Bounds) -> tuple[float, float]:
 
 def is_alike(one: Bounds, other: Bounds) -> bool:
     """Whether the cells of two panels lie on each other to within half a cell; an encoder's panels are never equal."""
-    reach = (other[2] - other[0]) / COLUMNS / 2, (other[3] - other[1]) / ROWS / 2
-    return all(abs(a - b) <= reach[n % 2] for n, (a, b) in enumerate(zip(one, other, strict=True)))
+    if one == other:
+        return True
+    across, along = (other[2] - other[0]) / COLUMNS / 2, (other[3] - other[1]) / ROWS / 2
+    is_as_wide = abs(one[0] - other[0]) <= across and abs(one[2] - other[2]) <= across
+    return is_as_wide and abs(one[1] - other[1]) <= along and abs(one[3] - other[3]) <= along
 
 
 def cell_chance(count: int, bounds_mm: Bounds, area_mm2: float) -> float:
