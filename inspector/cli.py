@@ -92,6 +92,20 @@ def inspect(
 
 
 @app.command()
+def panel(
+    frames: Annotated[list[str], typer.Argument(help="Frames of one panel, in the order they were taken.")],
+    config: SettingsFile,
+    step_mm: Annotated[float | None, typer.Option(help="Travel from frame to frame; default: panel.travel's.")] = None,
+    format: Annotated[ResultFormat, typer.Option(help="How the result is printed.")] = ResultFormat.TABLE,
+    map: Annotated[Path | None, typer.Option(help="SVG file for the panel's map of seeds.")] = None,
+) -> None:
+    """Inspect frames from files as one panel. Exit status: 0 inspected, 1 not inspected, 2 nothing done, 78 refused."""
+    from inspector import panel_command
+
+    raise typer.Exit(panel_command.run(frames, config, step_mm, format.value, map))
+
+
+@app.command()
 def registers(format: Annotated[RegisterFormat, typer.Option(help="How to print it.")] = RegisterFormat.TABLE) -> None:
     """Print the register map that the PLC reads."""
     from inspector.publish.registers_page import FORMATS

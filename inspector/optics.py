@@ -121,10 +121,14 @@ class Camera:
             along = np.where(along > 0, along, np.nan)
         return self.centre_mm[:2] + along[:, None] * ray[:, :2]
 
-    def outline_mm(self, points_a_side: int = 16) -> FloatArray:
-        """The frame's outline carried to the panel, (4 points_a_side, 2) mm; NaN where it does not meet the panel."""
-        right, bottom = self.width_px - 0.5, self.height_px - 0.5
-        corners = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
+    def outline_mm(self, points_a_side: int = 16, share: float = 1.0) -> FloatArray:
+        """The frame's outline carried to the panel, (4 points_a_side, 2) mm; NaN where it does not meet the panel.
+
+        ``share``: of a frame so much smaller about the same middle.
+        """
+        middle = np.array([self.width_px - 1, self.height_px - 1]) / 2
+        half = share * np.array([self.width_px, self.height_px]) / 2
+        corners = middle + half * [[-1, -1], [1, -1], [1, 1], [-1, 1]]
         sides = zip(corners, np.roll(corners, -1, 0), strict=True)
         return self.back_project(np.concatenate([np.linspace(a, b, points_a_side + 1)[:-1] for a, b in sides]))
 

@@ -43,10 +43,10 @@ def _travel_misfits(panel: PanelSettings, camera: Camera) -> Iterator[Misfit]:
     """The panel may move no further between two frames than a frame sees."""
     if panel.travel is None:
         return
-    view = View.of(camera.outline_mm(), panel.travel.direction)
+    view = View.of(camera, panel.travel.direction)
     if view is None:
         what = "the frame is not all on the panel, so what is seen of it is not known; allowed: a steeper camera"
         yield ("panel", "frames"), panel.frames.kind, what
     elif not isinstance(panel.travel.by, LineSpeed) and panel.travel.by.mm_per_frame > view.length_mm:
-        what = f"leaves gaps between frames; allowed: up to {view.length_mm:.1f} mm, which a frame sees"
+        what = f"leaves gaps between frames; allowed: up to {view.length_mm:.1f} mm"
         yield ("panel", "travel", "by"), panel.travel.by.mm_per_frame, what

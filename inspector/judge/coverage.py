@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from inspector.model import Extent, FloatArray
+from inspector.optics import Camera
 from inspector.recipe import Rectangle
 
 STRIPS = 256
@@ -25,7 +26,7 @@ class View:
     """What one frame sees of the panel, strip by strip: from ``begins_mm`` to ``ends_mm`` (n,) along the travel.
 
     ``across_mm`` (n,) are the strips' middles, ``direction`` (2,) the travel's unit vector in the world, ``outline_mm``
-    (m, 2) what it was cut from.
+    (m, 2) what it was cut from. ``length_mm``: the shortest stretch in the inner half of the frame.
     """
 
     outline_mm: FloatArray
@@ -33,30 +34,30 @@ class View:
     across_mm: FloatArray
     begins_mm: FloatArray
     ends_mm: FloatArray
+    length_mm: float
 
     @staticmethod
-    def of(outline_mm: FloatArray, direction: tuple[float, float]) -> View | None:
-        """The view within an outline (m, 2) mm of the world; None if that is not all on the panel."""
+    def of(camera: Camera, direction: tuple[float, float]) -> View | None:
+        """The view of a camera; None if its frame is not all on the panel."""
+        outline_mm = camera.outline_mm()
         if not np.isfinite(outline_mm).all():
             return None
-        along = np.asarray(direction)
-        s, t = outline_mm @ along, outline_mm @ np.array([-along[1], along[0]])
+        along, aside = np.asarray(direction), np.array([-direction[1], direction[0]])
+        s, t = outline_mm @ along, outline_mm @ aside
         edges = np.linspace(t.min(), t.max(), STRIPS + 1)
         across = (edges[1:] + edges[:-1]) / 2
         s_next, t_next = np.roll(s, -1), np.roll(t, -1)
         with np.errstate(divide="ignore", invalid="ignore"):
             share = (across[:, None] - t) / (t_next - t)
         crossing = np.where((share >= 0) & (share <= 1), s + share * (s_next - s), np.nan)
-        return View(outline_mm, along, across, np.nanmin(crossing, axis=1), np.nanmax(crossing, axis=1))
+        begins, ends = np.nanmin(crossing, axis=1), np.nanmax(crossing, axis=1)
+        inner = camera.outline_mm(share=0.5) @ aside
+        shortest = (ends - begins)[(inner.min() <= across) & (across <= inner.max())].min()
+        return View(outline_mm, along, across, begins, ends, float(shortest))
 
     @property
     def _lengths_mm(self) -> FloatArray:
         return self.ends_mm - self.begins_mm
-
-    @property
-    def length_mm(self) -> float:
-        """What a frame sees along the travel, through the view's middle, mm."""
-        return float(self._lengths_mm[STRIPS // 2])
 
     def seen(self, travels_mm: Sequence[float]) -> Extent:
         """What frames with the panel at ``travels_mm``, one or more, see of it together.
@@ -77,7 +78,7 @@ class View:
         return float(seen_mm.sum() * (self.across_mm[1] - self.across_mm[0])) / 1e6
 
     def longest_gap_mm(self, travels_mm: Sequence[float]) -> float:
-        """The longest stretch between two frames that neither sees, through the view's middle, mm; 0 for none."""
+        """The longest stretch between two frames that neither sees, in the inner half of the frame, mm; 0 for none."""
         steps = np.diff(np.sort(travels_mm))
         return max(0.0, float(steps.max(initial=0.0)) - self.length_mm)
 

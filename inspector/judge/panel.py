@@ -70,7 +70,7 @@ class PanelStation:
     def view(self) -> View | None:
         """What a frame sees of the panel."""
         x, y = self.direction.tolist()
-        return View.of(self.calibration.camera.outline_mm(), (x, y))
+        return View.of(self.calibration.camera, (x, y))
 
 
 @dataclass(frozen=True)
