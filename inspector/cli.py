@@ -9,6 +9,8 @@ from typing import Annotated
 
 import typer
 
+from inspector.cli_recipes import recipe_app
+
 app = typer.Typer(
     name="inspector",
     help="Finds seeds in glossy paint and measures their height from one grey image.",
@@ -21,7 +23,6 @@ io_app = typer.Typer(help="The I/O module's points, at the cabinet, with the ser
 app.add_typer(io_app, name="io")
 lamp_app = typer.Typer(help="The lamp: its curve.", no_args_is_help=True)
 app.add_typer(lamp_app, name="lamp")
-recipe_app = typer.Typer(help="The recipes of a station: what a colour and part type decide.", no_args_is_help=True)
 app.add_typer(recipe_app, name="recipe")
 simulate_app = typer.Typer(help="Simulated devices, to try PLC and settings without hardware.", no_args_is_help=True)
 app.add_typer(simulate_app, name="simulate-device")
@@ -409,41 +410,6 @@ def io_profiles(format: Annotated[PageFormat, typer.Option(help="How to print it
         typer.echo(profiles_page.markdown(), nl=False)
     else:
         io_commands.show_profiles()
-
-
-WantedRecipe = Annotated[str, typer.Argument(metavar="RECIPE", help="Its id or name.")]
-
-
-@recipe_app.command("list")
-def recipe_list(config: SettingsFile) -> None:
-    """A line for each recipe; the one in use has a star. Exit status: 0 done, 78 settings refused."""
-    from inspector import recipe_commands
-
-    raise typer.Exit(recipe_commands.list_recipes(config))
-
-
-@recipe_app.command("show")
-def recipe_show(config: SettingsFile, recipe: WantedRecipe) -> None:
-    """A recipe with its defaults filled in. Exit status: 0 done, 1 no such recipe, 78 settings refused."""
-    from inspector import recipe_commands
-
-    raise typer.Exit(recipe_commands.show(config, recipe))
-
-
-@recipe_app.command("check")
-def recipe_check(config: SettingsFile) -> None:
-    """Say whether every recipe is right for the station. Exit status: 0 all are, 78 what is wrong is on stderr."""
-    from inspector import recipe_commands
-
-    raise typer.Exit(recipe_commands.check(config))
-
-
-@recipe_app.command("use")
-def recipe_use(config: SettingsFile, recipe: WantedRecipe) -> None:
-    """Write the choice into the settings file. Exit status: 0 done, 1 no such recipe or not written, 78 refused."""
-    from inspector import recipe_commands
-
-    raise typer.Exit(recipe_commands.use(config, recipe))
 
 
 @config_app.command()

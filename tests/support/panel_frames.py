@@ -1,4 +1,4 @@
-"""Frames of a panel that travels past the demo's camera: spots drawn where the reflection model puts them."""
+"""Frames of a panel that travels past the demo's camera: spots drawn where, and as bright as, the simulated camera does."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from drawn import Drawing
 
-from inspector import calibration_file, reflection
+from inspector import calibration_file, reflection, simulated_scene
 
 CALIBRATION = Path(__file__).parents[2] / "config" / "calibration" / "demo.yaml"
 STEP_MM = 45.0
@@ -37,9 +37,10 @@ def write(folder: Path) -> list[Path]:
     drawing = Drawing((calibration.camera.height_px, calibration.camera.width_px))
     files = []
     for frame in range(FRAMES):
-        seeds = np.array([(x, y, r, r) for x, y, r in seeds_in_view(frame)])
-        spots = np.concatenate(reflection.highlights(seeds, calibration))
+        seeds = [(x, y, 2000 * radius) for x, y, radius in seeds_in_view(frame)]
+        spots = np.array(simulated_scene.highlights(seeds, 1.0, calibration))
+        image = drawing.draw(spots[:, :2], 240 * spots[:, 2], seed=frame)
         file = folder / f"frame{frame}.png"
-        file.write_bytes(cv2.imencode(".png", drawing.draw(spots, 150.0, seed=frame))[1].tobytes())
+        file.write_bytes(cv2.imencode(".png", image)[1].tobytes())
         files.append(file)
     return files
