@@ -228,13 +228,15 @@ class Daemon:
         if one_by_one:
             shown = replace(shown, state=after(shown.state, Event.FINISHED, Event.STOPPED))
         self._trigger.took(turn.frame_id)
+        if self._panels is not None:
+            self._panels.took(turn, self._missed, panel_id)
+        # Before anybody sees the result: whoever then triggers again is in time.
+        self._trigger.ended(time.monotonic(), self._cycle.resume_s(started_s))
         if self._panels is None:
             self._publish(replace(shown, panel_id=panel_id or shown.panel_id), turn.name, turn.why)
         else:
             self._show(shown)
-            self._panels.took(turn, self._missed, panel_id)
             self._publish_panels(self._panels)
-        self._trigger.ended(time.monotonic(), self._cycle.resume_s(started_s))
         self._control.cycle_ended(self._awaits_plc)
         self._show_changed(self._counted(self._snapshot))
 

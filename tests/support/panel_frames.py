@@ -1,4 +1,4 @@
-"""Frames of a panel that travels past the demo's camera: spots drawn where, and as bright as, the simulated camera does."""
+"""Frames of a panel that travels past the demo's camera: spots drawn where, and as bright as, seeds would show them."""
 
 from __future__ import annotations
 
