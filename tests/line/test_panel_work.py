@@ -1,0 +1,118 @@
+"""Panels at work beside the cycle: the input that says when one is in view, marks in their order, time that passes."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_bridge.errors import BridgeError, NoReply
+from inspector.cycle import Turn
+from inspector.handshake import Order
+from inspector.handshake_table import Action
+from inspector.model import Frame, FrameResult, PanelFrames, PanelResult, Snapshot, Verdict
+from inspector.panel_settings import PanelSettings
+from inspector.panel_work import PanelWork
+
+TRAVEL = {"by": {"kind": "pitch", "mm_per_frame": 10.0}}
+BY_INPUT = {"kind": "digital_input", "channel": 3, "active": "off", "debounce_s": 0.1, "poll_s": 0.05}
+
+
+class Line:
+    """A line with an input, on or off or failing, and a clock."""
+
+    def __init__(self, frames: dict[str, Any]) -> None:
+        self.now_s, self.input, self.asked, self.frame_id = 0.0, True, [], 0
+        settings = PanelSettings.model_validate_json(json.dumps({"frames": frames, "travel": TRAVEL, "timeout_s": 9.0}))
+        station: Any = type("Station", (), {"panel": settings})
+        self.work = PanelWork(station, self._judge, self._read, 0, lambda: self.now_s)
+
+    def _judge(self, gathered: PanelFrames) -> PanelResult:
+        verdict = Verdict.NOT_INSPECTED if gathered.missing else Verdict.PASS
+        travels = tuple(frame.travel_mm for frame in gathered.frames)
+        return PanelResult(verdict, reasons_text=gathered.missing, panel_id=gathered.panel_id, travels_mm=travels)
+
+    def _read(self, channel: int) -> bool:
+        self.asked.append(channel)
+        if isinstance(self.input, BridgeError):
+            raise self.input
+        return bool(self.input)
+
+    def wait(self, wait_s: float) -> None:
+        self.now_s += wait_s
+        self.work.look()
+
+    def frame(self) -> None:
+        """A cycle: the exposure, a look at the input, the inspection where the frame is of a panel."""
+        self.frame_id += 1
+        self.work.glance()
+        frame = Frame(np.zeros((1, 1), np.uint8), "f", self.frame_id, taken_at_s=self.now_s)
+        result = FrameResult("f", Verdict.PASS) if self.work.wants_frame() else None
+        self.work.took(Turn(Snapshot(), frame_id=self.frame_id, frame=frame, result=result), 0, 0)
+
+    def shown(self) -> list[tuple[Verdict, int]]:
+        return [(panel.verdict, len(panel.travels_mm)) for panel in self.work.results()]
+
+
+def test_an_input_says_when_a_panel_is_in_view() -> None:
+    line = Line(BY_INPUT)
+    line.wait(0.0)
+    line.frame()
+    line.input = False
+    line.frame()
+    line.frame()
+    line.input = True
+    line.wait(0.05)
+    assert line.shown() == []
+    assert line.work.under_way
+    line.wait(0.05)
+    line.wait(0.05)
+    assert line.shown() == [(Verdict.PASS, 2)]
+    assert set(line.asked) == {3}
+
+
+def test_the_input_is_read_no_more_often_than_it_says_while_the_station_waits() -> None:
+    line = Line(BY_INPUT)
+    for _ in range(10):
+        line.wait(0.02)
+    assert len(line.asked) == 4
+
+
+def test_an_input_that_cannot_be_read_keeps_the_panel_in_view_from_passing() -> None:
+    line = Line(BY_INPUT)
+    line.wait(0.0)
+    line.input = False
+    line.frame()
+    line.input = NoReply("module", "silent")
+    line.frame()
+    line.input = True
+    for _ in range(3):
+        line.wait(0.06)
+    (panel,) = line.work.results()
+    assert panel.verdict is Verdict.NOT_INSPECTED
+    assert "could not be read" in panel.reasons_text[0]
+
+
+def mark(action: Action, at_s: float, panel_id: int = 0) -> Order:
+    return Order(action, at_s, panel_id)
+
+
+@pytest.mark.parametrize(("trigger_s", "frames"), [(1.5, 1), (2.5, 0)])
+def test_an_end_after_a_trigger_that_waits_comes_after_its_frame(trigger_s: float, frames: int) -> None:
+    line = Line({"kind": "plc"})
+    line.work.mark([mark(Action.START_PANEL, 1.0, 7), mark(Action.END_PANEL, 2.0, 7)], trigger_s)
+    line.frame()
+    line.work.mark([], float("inf"))
+    (panel,) = line.work.results()
+    assert (panel.panel_id, len(panel.travels_mm)) == (7, frames)
+
+
+def test_a_panel_that_was_waited_for_long_enough_is_ended() -> None:
+    line = Line({"kind": "plc"})
+    line.work.mark([mark(Action.START_PANEL, 0.0)], float("inf"))
+    line.wait(8.9)
+    assert line.shown() == []
+    line.wait(0.2)
+    assert line.shown() == [(Verdict.NOT_INSPECTED, 0)]
