@@ -371,17 +371,18 @@ class Daemon:
         in_the_way = bool(new.plc.ports & self._settings.plc.ports)
         if in_the_way:
             self._server.stop()
+        # Before anybody can connect: whoever is first finds the results where they were.
+        self._control.serve(server, new.plc.word_order, new.plc.buffer_results)
         try:
             server.start()
         except PlcServerError:
             if in_the_way:
                 self._server = _server(self._settings, self._control)
                 self._server.start()
-                self._serve()
+            self._serve()
             raise
         self._server.stop()
         self._server = server
-        self._serve()
         console.say(console.how_to_poll(new.plc.host, self.port))
 
     def _serve(self) -> None:

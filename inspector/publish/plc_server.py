@@ -109,6 +109,7 @@ class PlcServer:
         self._silence_s: float | None = None
         self._word_order: WordOrder = word_order
         self._snapshot = Snapshot()
+        self._started_s = self._beat_s = time.monotonic()
         self._stalled = False
         self._lock = threading.Lock()
         self._registers = ServedRegisters(on_control)
