@@ -116,7 +116,8 @@ def test_the_order_of_frames_and_seeds_does_not_matter(drawn: list[Any], travels
     assert judged(*shuffled) == first
 
 
-SIGHTING = st.builds(seed, st.floats(-3, 3), st.floats(-3, 3), st.floats(50, 2000) | st.just(math.nan))
+LIKE_HEIGHT = st.sampled_from([500.0, 510.0, 2000.0, math.nan])
+SIGHTING = st.builds(seed, st.floats(-1, 1), st.floats(-1, 1), LIKE_HEIGHT | st.floats(50, 2000))
 FRAMES = st.lists(st.lists(SIGHTING, max_size=4), min_size=1, max_size=4)
 
 
@@ -124,6 +125,11 @@ FRAMES = st.lists(st.lists(SIGHTING, max_size=4), min_size=1, max_size=4)
 def test_what_one_frame_tells_apart_is_never_counted_as_one(shown: list[list[Defect]]) -> None:
     counted = len(judged(*(frame(*defects, travel_mm=float(n)) for n, defects in enumerate(shown))).defects)
     assert max(map(len, shown)) <= counted <= sum(map(len, shown))
+
+
+def test_one_seed_between_two_of_another_frame_joins_one_of_them() -> None:
+    two, between = frame(seed(0, 0), seed(0.8, 0)), frame(seed(40.3, 0), travel_mm=40.0)
+    assert [d.x_mm for d in judged(two, between).defects] in ([0.0, 0.8], [pytest.approx(0.3), 0.8])
 
 
 @given(st.lists(SIGHTING, max_size=5), st.lists(SIGHTING, max_size=5))
