@@ -44,6 +44,8 @@ BRIGHT_SHARE = 0.5
 """No spot hides in pixels under this share of full scale: what is too much there is a brighter one's halo."""
 MOST_SPOTS, MOST_PIXELS = 12, 6000
 """Larger tangles are left as the plain fit found them."""
+MOST_CLUSTERS = 100
+"""In a frame with more clipped components none is solved: it is over-exposed beyond what the time is worth."""
 ROUNDS = 30
 SHARED = 5
 """Shared parameters of a patch: level, two slopes, log blur variance, kept."""
@@ -102,17 +104,26 @@ def charge(lit: Detected, spots: Spots, ground_light: FloatArray, response: Resp
 
     Charge runs both ways alike and clipping is even on both sides, so what is left of a lone spot's keeps its centre.
     """
-    n = len(spots)
+    n, owner = len(spots), _owners(lit, spots)
     at = np.column_stack([lit.columns, lit.rows]).astype(np.float64)
-    distance = np.abs(at[:, None] - spots.centre_px).sum(axis=2)
-    distance[lit.component[:, None] != spots.component] = np.inf
-    owner = distance.argmin(axis=1)
     ground = ground_light[owner]
     weight = response.light(lit.grey_dn) - ground
     weight[weight < CHARGE_SHARE * (response.sensor.saturation_dn - ground)] = 0.0
     total = np.maximum(np.bincount(owner, weight, n), 1.0)
     moments = np.column_stack([np.bincount(owner, weight * at[:, k], n) for k in (0, 1)])
     return np.where(total[:, None] > 1, moments / total[:, None], spots.centre_px), total
+
+
+def _owners(lit: Detected, spots: Spots) -> IntArray:
+    """Which spot each lit pixel belongs to: of those of its component the nearest."""
+    first = np.zeros(lit.components, np.intp)
+    first[spots.component] = np.arange(len(spots))
+    owner = first[lit.component]
+    for home in np.flatnonzero(np.bincount(spots.component, minlength=lit.components) > 1):
+        pixels, members = np.flatnonzero(lit.component == home), np.flatnonzero(spots.component == home)
+        at = np.column_stack([lit.columns[pixels], lit.rows[pixels]])
+        owner[pixels] = members[np.abs(at[:, None] - spots.centre_px[members]).sum(axis=2).argmin(axis=1)]
+    return owner
 
 
 def refine(image: Image, lit: Detected, spots: Spots, fitted: Fitted, response: Response) -> tuple[Spots, list[Solved]]:
@@ -181,6 +192,8 @@ def _smooth(deviation: FloatArray) -> FloatArray:
 def _clusters(image: Image, lit: Detected, spots: Spots, fitted: Fitted, response: Response) -> list[Cluster | None]:
     """The components that hold a clipped spot, each with all its spots; None for one too large to solve."""
     homes = np.unique(spots.component[spots.clipped])
+    if len(homes) > MOST_CLUSTERS:
+        return []
     return [_cluster(image, lit, spots, fitted, response, int(home)) for home in homes]
 
 

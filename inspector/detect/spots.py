@@ -19,6 +19,8 @@ SINGLE_PX = 4
 """Plateaus no longer than this are one spot's."""
 LARGEST_PX = 400
 """Plateaus of more pixels are no spots, however they are parted."""
+MOST_PARTED = 200
+"""In a frame with more large plateaus none is parted: it is over-exposed beyond what the time is worth."""
 PARTED_PX = 2.5
 """Runs of one spot have one middle; two that differ by more belong to two."""
 SADDLE_SHARE = 0.965
@@ -83,8 +85,11 @@ def _lobes(image: Image, found: kernel.Detected, saturated_dn: float) -> FloatAr
     clipped = np.flatnonzero(found.plateau >= 0)
     rows, columns, plateau = found.rows[clipped], found.columns[clipped], found.plateau[clipped]
     lobe, count = np.zeros(len(clipped), np.intp), 0
+    large = found.spots[: found.plateaus, NARROW_PX] + np.maximum(np.abs(found.spots[: found.plateaus, LONGER_PX]), 0)
+    may_part = np.count_nonzero(large > SINGLE_PX) <= MOST_PARTED
     for mine in _groups(plateau):
-        if max(np.ptp(rows[mine]), np.ptp(columns[mine])) + 1 > SINGLE_PX and len(mine) <= LARGEST_PX:
+        is_long = may_part and max(np.ptp(rows[mine]), np.ptp(columns[mine])) + 1 > SINGLE_PX
+        if is_long and len(mine) <= LARGEST_PX:
             lobe[mine] = _parted(image, rows[mine], columns[mine], saturated_dn)
         lobe[mine] += count
         count = int(lobe[mine].max()) + 1

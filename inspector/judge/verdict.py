@@ -16,8 +16,8 @@ SURELY_A_SEED = Flag.MERGED | Flag.PARTNER_HIDDEN | Flag.PARTNER_OUTSIDE_FRAME
 """An unpaired highlight with one of these is a seed whose height cannot be told."""
 NO_SEED = Flag.PAINT_POOL | Flag.HOT_PIXEL
 """An unpaired highlight with one of these is no seed, whatever else it is: it touches one, or is the sensor's."""
-UNTOLD = Flag.CROWDED
-"""Whatever has this, paired or not, stands for seeds that could not be told apart."""
+UNTOLD = Flag.CROWDED | Flag.TOO_LARGE
+"""Whatever has one of these, paired or not, may hide seeds that could not be told apart."""
 EXPLAINED = SURELY_A_SEED | UNTOLD | NO_SEED | Flag.DUST
 """Any other unpaired highlight is unexplained."""
 
