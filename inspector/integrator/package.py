@@ -8,7 +8,7 @@ from pathlib import Path
 
 from firmware_bridge import whole_file
 from inspector import handshake_page
-from inspector.integrator import byte_examples
+from inspector.integrator import byte_examples, structured_text
 from inspector.publish import registers_page
 from inspector.publish.registers import MAP_VERSION
 
@@ -27,6 +27,12 @@ FILES = (
     Made("registers.csv", "The registers alone, for import into an engineering tool", registers_page.as_csv),
     Made("handshake.md", "Trigger, results, commands: rules, dialogues, state table", handshake_page.as_markdown),
     Made("bytes.md", "Whole messages, each byte explained", byte_examples.as_markdown),
+    Made(
+        "FB_SeedInspector.st",
+        "IEC 61131-3 function block and data types: polls, decodes, triggers, takes results, changes the recipe",
+        structured_text.function_block,
+    ),
+    Made("structured_text.md", "How that block is bound to a PLC's Modbus client", structured_text.binding_page),
 )
 
 
