@@ -17,7 +17,7 @@ from dataclasses import replace
 from firmware_bridge.wire.modbus import IllegalValue
 from inspector import handshake
 from inspector.handshake import Handshake, Order, Stepped
-from inspector.handshake_table import Action, CommandResult
+from inspector.handshake_table import Action, CommandResult, Step
 from inspector.model import Snapshot
 from inspector.posting import Poster
 from inspector.publish.plc_server import PlcServer
@@ -142,6 +142,13 @@ class PlcControl:
         """How the command ended."""
         with self._lock:
             self._step(handshake.command_ended(self._state, outcome))
+
+    @property
+    def untaken(self) -> int:
+        """How many results are held for the PLC, the one it is offered included; 0 where the newest wins."""
+        with self._lock:
+            state = self._state
+            return (len(state.waiting) + (state.result is Step.RESULT_OFFERED)) if state.buffering else 0
 
     def discard_results(self) -> None:
         """Forget the results that were not acknowledged."""

@@ -161,8 +161,8 @@ class Daemon:
             look_s = min(self._trigger.look_s, self._look_at_panels())
             due_s = min(self._due_s(), ends_s)
             now_s = time.monotonic()
-            if due_s <= now_s:
-                return now_s < ends_s
+            if due_s <= now_s:  # what the PLC wrote together with its trigger comes first: the trigger stays due
+                return now_s < ends_s and not self._interrupted
             if now_s >= self._spoken_s + self._silence_s and due_s - now_s > BEAT_S:
                 self._keep_ready()
             self._signals.wait(min(due_s - time.monotonic(), BEAT_S, look_s))
@@ -236,16 +236,19 @@ class Daemon:
             self._publish(replace(shown, panel_id=panel_id or shown.panel_id), turn.name, turn.why)
         else:
             self._show(shown)
+            self._server.beat(INSPECTION_S)
             self._publish_panels(self._panels)
         self._control.cycle_ended(self._awaits_plc)
         self._show_changed(self._counted(self._snapshot))
 
     def _taken(self) -> None:
         """The frame is there: what is left waits for no device, so that silence is soon a stall."""
-        if self._panels is not None:
-            self._panels.glance()
-        self._trigger.glance()
-        self._server.beat(INSPECTION_S)
+        try:
+            if self._panels is not None:
+                self._panels.glance()
+            self._trigger.glance()
+        finally:
+            self._server.beat(INSPECTION_S)
 
     def _wants_frame(self) -> bool:
         return self._panels is None or self._panels.wants_frame()
@@ -422,8 +425,10 @@ class Daemon:
         self._control.publish(snapshots.stopped(self._snapshot))
 
     def _server_stop(self) -> None:
-        if self._poster:
-            self._poster.stop()
+        if untaken := self._control.untaken:
+            log.error("stopped with %d results that the PLC has not taken: they are lost to it", untaken)
+        if self._poster and (left := self._poster.stop().undelivered):
+            log.error("stopped with %d results that were not posted: they are lost to the PLC", left)
         self._server.stop()
         self._sequence.ends(self._snapshot.sequence)
         log.info("stopped")

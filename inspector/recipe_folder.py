@@ -45,10 +45,6 @@ def document(folder: Path) -> Document:
     return whole
 
 
-def _unusable(source: str, why: str) -> Document:
-    return Document(source, problems=(Problem(source, "", "", why),))
-
-
 def not_unique(settings: Document) -> Iterator[Problem]:
     """Problems of the list ``recipes`` of a settings document: ids and names that are missing, or another's."""
     recipes = settings.data.get("recipes") if isinstance(settings.data, dict) else None

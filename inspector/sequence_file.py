@@ -15,6 +15,8 @@ from firmware_bridge import whole_file
 
 log = logging.getLogger(__name__)
 
+RETRY_AFTER = 16
+"""Results after which a file that could not be written is tried again."""
 AHEAD = 256
 """How far ahead of the results the file is written; the largest gap after a crash."""
 
@@ -53,10 +55,12 @@ class SequenceFile:
     def _write(self, sequence: int) -> None:
         if self._file is None:
             return
-        self._kept = sequence
         try:
             whole_file.write(self._file, json.dumps({"sequence": sequence}) + "\n")
         except OSError as error:
             if not self._failed:
                 log.error("%s: cannot be written (%s); after a restart the sequence may go back", self._file, error)
             self._failed = True
+            self._kept = sequence - AHEAD + RETRY_AFTER
+        else:
+            self._kept, self._failed = sequence, False

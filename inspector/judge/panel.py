@@ -256,10 +256,6 @@ def _unexplained(gathered: PanelFrames, seeds: list[list[_Seen]], station: Panel
     return tuple(_spot(group) for group in alike)
 
 
-def _is_measured(sighting: _Seen) -> bool:
-    return math.isfinite(_defect(sighting).height_um + sum(sighting.xy_mm))
-
-
 def _kind(sighting: _Seen) -> tuple[bool, bool, bool]:
     """What the verdict makes of a lone spot: only spots of one kind may be the same."""
     flags = sighting.thing.flags

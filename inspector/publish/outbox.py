@@ -31,6 +31,11 @@ class Outbox:
     waiting: tuple[Snapshot, ...] = ()
     lost: int = 0
 
+    @property
+    def undelivered(self) -> int:
+        """How many results have not arrived."""
+        return len(self.waiting) + self.under_way
+
 
 def added(box: Outbox, result: Snapshot) -> Outbox:
     """A new result."""

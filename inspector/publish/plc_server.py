@@ -172,7 +172,8 @@ class PlcServer:
 
     def beat(self, silence_s: float | None = None) -> None:
         """The cycle is alive; to be called each turn. The next one comes within ``silence_s``, or ``stall_after_s``."""
-        self._silence_s, self._beat_s = silence_s, time.monotonic()
+        self._beat_s = time.monotonic()  # first: a short silence is never held against an old beat
+        self._silence_s = silence_s
 
     def renew_certificates(self) -> None:
         """Read the files of TLS again, for connections from now on. Raises PlcServerError; then the old ones hold."""
