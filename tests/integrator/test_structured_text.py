@@ -158,7 +158,7 @@ def test_without_a_link_there_is_no_result_and_a_trigger_is_given_up() -> None:
 
 def test_zeroed_registers_are_never_alive() -> None:
     at = Bench()
-    at.image = lambda: (0,) * 125  # type: ignore[method-assign]
+    at.image = lambda: (0,) * 125  # type: ignore[method-assign]  # a zeroed PLC image
     at.run(5.0)
     assert (at.block.v.bAlive, at.block.v.bReady, at.results) == (False, False, [])
     assert at.block.v.uiError == at.block.v.ERROR_MAP_VERSION
@@ -169,7 +169,7 @@ def test_a_torn_block_is_not_used() -> None:
     at.until(lambda: at.block.v.bAlive)
     whole = at.image
     at.inspects()
-    at.image = lambda: (*whole()[:-1], 7)  # type: ignore[method-assign]
+    at.image = lambda: (*whole()[:-1], 7)  # type: ignore[method-assign]  # a torn image, read in two
     at.run(1.0)
     assert (at.results, at.block.v.uiError) == ([], at.block.v.ERROR_TORN)
 

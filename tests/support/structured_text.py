@@ -64,7 +64,7 @@ def _text(node: Any) -> str:
             return str(str(node.value).upper() == "TRUE")
         case st.Integer() | st.Real():
             return _literal(str(node))
-    raise NotImplementedError(f"{type(node).__name__}: {node}")
+    raise TypeError(f"{type(node).__name__}: {node}")
 
 
 def _element(node: Any) -> str:
@@ -112,7 +112,7 @@ def _statement(node: Any, indent: str) -> list[str]:
                 matches = ", ".join(_text(match) for match in case.matches)
                 lines += [f"{indent}{'elif' if nth else 'if'} _case in ({matches},):", *_lines(case.statements, inner)]
             return lines
-    raise NotImplementedError(f"{type(node).__name__}: {node}")
+    raise TypeError(f"{type(node).__name__}: {node}")
 
 
 class Declared(SimpleNamespace):
