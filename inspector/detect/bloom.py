@@ -192,8 +192,6 @@ def _smooth(deviation: FloatArray) -> FloatArray:
 def _clusters(image: Image, lit: Detected, spots: Spots, fitted: Fitted, response: Response) -> list[Cluster | None]:
     """The components that hold a clipped spot, each with all its spots; None for one too large to solve."""
     homes = np.unique(spots.component[spots.clipped])
-    if len(homes) > MOST_CLUSTERS:
-        return []
     return [_cluster(image, lit, spots, fitted, response, int(home)) for home in homes]
 
 
