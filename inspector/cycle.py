@@ -29,7 +29,7 @@ from inspector.lifecycle import Event, after
 from inspector.model import Frame, FrameResult, Snapshot, Verdict
 from inspector.recipe import Recipe, content_hash
 from inspector.recipe_proof import beyond_camera
-from inspector.settings import Settings, SettingsError, configuration_hash
+from inspector.settings import Settings, SettingsError
 from inspector.stages import Inspection
 from inspector.yaml_document import Problem, path_text, short
 
@@ -308,13 +308,14 @@ def _retry(settings: Settings) -> Retry:
     return Retry(settings.cycle.retry_first_s, settings.cycle.retry_longest_s)
 
 
-def described(snapshot: Snapshot, settings: Settings, *events: Event) -> Snapshot:
-    """The snapshot with what it says of the settings brought up to date."""
+def described(snapshot: Snapshot, settings: Settings, settings_hash: int, *events: Event) -> Snapshot:
+    """The snapshot with what it says of the settings brought up to date. ``settings_hash`` is theirs, and of the
+    calibration file (:func:`inspector.settings.configuration_hash`)."""
     return replace(
         snapshot,
         state=after(snapshot.state, *events),
         recipe_id=settings.recipe.id,
         recipe_hash=content_hash(settings.recipe),
         lamp_set_v=settings.lamp.volts(settings.recipe.lamp_percent),
-        configuration_hash=configuration_hash(settings),
+        configuration_hash=settings_hash,
     )

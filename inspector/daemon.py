@@ -16,14 +16,13 @@ from pathlib import Path
 
 from firmware_bridge import factory
 from firmware_bridge.errors import BridgeError, NoTrigger
-from inspector import calibration_file, pace, recipe_choice, snapshots
+from inspector import calibration_file, line_history, pace, recipe_choice, snapshots
 from inspector.acquire.trigger import Trigger
 from inspector.control import PlcControl
 from inspector.cycle import Cycle, described, longest_silence_s
 from inspector.faults import Fault
 from inspector.handshake_table import Command
 from inspector.lifecycle import Event, after
-from inspector.line_history import LineHistory
 from inspector.model import Snapshot
 from inspector.panel_work import PanelWork
 from inspector.plc_commands import carried_out
@@ -32,7 +31,7 @@ from inspector.publish import console
 from inspector.publish.plc_server import PlcServer, PlcServerError
 from inspector.publish.systemd import Notifier
 from inspector.sequence_file import SequenceFile
-from inspector.settings import Settings, SettingsError, load, with_recipe
+from inspector.settings import Settings, SettingsError, configuration_hash, load, with_recipe
 from inspector.signals import Signals, StopRequested
 from inspector.stages import Inspection, inspection_of
 
@@ -83,6 +82,7 @@ class Daemon:
         }
         self._server = _server(settings, self._control)
         self._poster: Poster | None = None
+        self._panels: PanelWork | None = None
         self._spoken_s = -math.inf
 
     @property
@@ -101,7 +101,7 @@ class Daemon:
         self._serve()
         self._post_anew(None)
         console.say(console.how_to_poll(self._settings.plc.host, self.port))
-        self._show(self._described(self._snapshot, Event.CONFIGURED))
+        self._show(described(self._snapshot, self._settings, configuration_hash(self._settings), Event.CONFIGURED))
 
     def run(self, limits: Limits) -> None:
         """Inspect until asked to stop or a limit is reached; the lamp is then at 0 V."""
@@ -120,13 +120,13 @@ class Daemon:
         devices = self._build(settings.camera, settings.module, settings.lamp)
         inspect = self._make_inspection(settings)
         self._cycle = Cycle(settings, devices, inspect, waiting=self._waiting)
-        self._history = LineHistory(settings)
+        self._history = line_history.LineHistory(settings)
         at_end.callback(self._history.close)
         at_end.callback(self._cycle.close)
         at_end.callback(self._say_farewell)
         self._trigger = self._triggered()
         self._panels = self._panel_work(settings)
-        self._show(replace(self._described(self._snapshot), simulated=self._cycle.simulated))
+        self._show(replace(self._snapshot, simulated=self._cycle.simulated))
 
     def _panel_work(self, settings: Settings) -> PanelWork | None:
         return PanelWork.of(settings, lambda channel: self._cycle.read_input(channel), self._missed)
@@ -328,7 +328,7 @@ class Daemon:
         self._notifier.reloading()
         try:
             found = load(self._file)
-            self._take_over(recipe_choice.resumed(found))
+            self._take_over(recipe_choice.resumed(found), renews_certificates=True)
             self._settings_recipe_id = found.recipe.id
             log.info("settings taken over from %s, hash %08x", self._file, self._snapshot.configuration_hash)
         except SettingsError as error:
@@ -345,18 +345,20 @@ class Daemon:
         log.error("fault %d: %s. %s", fault, fault.meaning, fault.remedy)
         self._snapshot = replace(self._snapshot, settings_refused=True)
 
-    def _take_over(self, new: Settings) -> None:
-        """Change what differs and nothing else; what can be refused comes first."""
+    def _take_over(self, new: Settings, *, renews_certificates: bool = False) -> None:
+        """Change what differs and nothing else; all that can be refused comes before the first change."""
         old, inspect, panels = self._settings, self._make_inspection(new), self._panel_work(new)
-        if new.plc != old.plc:
+        one_frame, new_hash = line_history.one_frame(new), configuration_hash(new)
+        devices = self._build(new.camera, new.module, new.lamp)
+        if new.plc.served != old.plc.served:
             self._serve_anew(new)
-        else:
+        elif renews_certificates:
             self._server.renew_certificates()
         if self._panels is not None:
             self._panels.interrupted("recipe or settings were changed")
             self._publish_panels(self._panels)
-        self._cycle.take_over(new, self._build(new.camera, new.module, new.lamp), inspect)
-        self._history.take_over(new)
+        self._cycle.take_over(new, devices, inspect)
+        self._history.take_over(new, one_frame)
         self._panels = panels
         self._settings = new
         self._serve()
@@ -364,9 +366,10 @@ class Daemon:
         self._sequence.move(new.plc.sequence_file)
         self._spoken_s = -math.inf
         self._trigger = self._triggered(self._trigger.missed, self._trigger.late)
-        single = replace(self._snapshot, panel_frames=1, frames_so_far=0, extent=None)
-        anew = self._described(single, Event.STOPPED, Event.UNPREPARED)
-        self._snapshot = replace(anew, settings_refused=False, simulated=self._cycle.simulated)
+        anew = described(self._snapshot, new, new_hash, Event.STOPPED, Event.UNPREPARED)
+        if new_hash != self._snapshot.configuration_hash:
+            anew = snapshots.taken_back(anew)
+        self._snapshot = replace(anew, frames_so_far=0, settings_refused=False, simulated=self._cycle.simulated)
 
     def _serve_anew(self, new: Settings) -> None:
         """Serve as ``new`` says. Raises PlcServerError, and then serves on as before."""
@@ -413,9 +416,6 @@ class Daemon:
 
     def _is_stalled(self) -> bool:
         return self._server.stalled
-
-    def _described(self, snapshot: Snapshot, *events: Event) -> Snapshot:
-        return described(snapshot, self._settings, *events)
 
     def _say_farewell(self) -> None:
         self._notifier.send("STOPPING=1")

@@ -286,6 +286,7 @@ OF_A_RESULT = (
     "exposure_us",
     "configuration_hash",
     "recipe_hash",
+    "simulated",
 )
 """What of a snapshot belongs to its result; the rest tells of the station as it is."""
 

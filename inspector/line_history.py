@@ -43,6 +43,14 @@ def extent_of(camera: Camera) -> Extent:
     return Extent(area_mm2 / 1e6, (float(x.min()), float(y.min()), float(x.max()), float(y.max())), rim_mm)
 
 
+def one_frame(settings: Settings) -> Extent:
+    """What one frame sees of the panel, by these settings' calibration file. Raises CalibrationError."""
+    extent = extent_of(calibration_file.read(settings.calibration).camera)
+    if not extent.area_m2 > 0:
+        log.error("the camera sees past the panel's plane: its area is unknown, and there will be no statistics")
+    return extent
+
+
 def panel_of(snapshot: Snapshot, one_frame: Extent) -> Panel:
     """A published result as the statistics take it; its time is the result's. ``one_frame``: what a frame sees."""
     defects, extent = snapshot.defects, snapshot.extent or one_frame
@@ -69,7 +77,7 @@ class LineHistory:
         self._writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="statistics")
         self._written: Future[None] | None = None
         self._file = settings.statistics_file
-        self._extent = _extent(settings)
+        self._extent = one_frame(settings)
         self._monitor = Monitor(settings.statistics)
         self._remember()
         self._saved_s = clock()
@@ -97,9 +105,9 @@ class LineHistory:
             self._monitor.reset()
         self._save()
 
-    def take_over(self, settings: Settings) -> None:
-        """Go on by other settings, with what is remembered."""
-        self._extent = _extent(settings)
+    def take_over(self, settings: Settings, extent: Extent) -> None:
+        """Go on by other settings, of which ``extent`` is :func:`one_frame`, with what is remembered."""
+        self._extent = extent
         self._monitor.settings = settings.statistics
         self._file = settings.statistics_file
 
@@ -140,10 +148,3 @@ class LineHistory:
             self._saving.begins(f"{file} cannot be written ({error.strerror}); a restart would lose the statistics")
         else:
             self._saving.ends()
-
-
-def _extent(settings: Settings) -> Extent:
-    extent = extent_of(calibration_file.read(settings.calibration).camera)
-    if not extent.area_m2 > 0:
-        log.error("the camera sees past the panel's plane: its area is unknown, and there will be no statistics")
-    return extent

@@ -142,6 +142,15 @@ def cleared(last: Snapshot) -> Snapshot:
     return replace(seen, state=after(last.state, Event.RECOVERED, Event.PREPARED), fault_code=Fault.NONE)
 
 
+def taken_back(last: Snapshot) -> Snapshot:
+    """The station goes on by other settings: the last result is not theirs, and nobody stands behind it any more. One
+    that was NOT_INSPECTED stays, with its reasons."""
+    shown = replace(_nothing_seen(last), panel_frames=1, extent=None)
+    if last.verdict is Verdict.NOT_INSPECTED:
+        return shown
+    return replace(shown, verdict=Verdict.NOT_INSPECTED, reasons=Reason(0))
+
+
 def stopped(last: Snapshot) -> Snapshot:
     """The service is going off: nobody stands behind the last verdict any more."""
     return replace(

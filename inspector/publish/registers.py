@@ -132,7 +132,7 @@ RESULT_FIELDS = (
     _F(12, "largest_height_um_f32", "f32", "um", "The same, not rounded", _largest_height_um),
     _F(14, "acquisition_id", "u32", "id", "The camera's frame number", lambda p: p.snapshot.acquisition_id),
     _F(16, "panel_id", "u32", "id", "The panel's number", lambda p: p.snapshot.panel_id),
-    _F(18, "recipe_id", "u16", "id", "Recipe in use", lambda p: p.snapshot.recipe_id),
+    _F(18, "recipe_id", "u16", "id", "Recipe in use; with a held result, its own", lambda p: p.snapshot.recipe_id),
     _F(19, "handshake", "u16", "bits", "The station's answers, see Handshake bits", lambda p: p.snapshot.plc.answers),
     _F(20, "result_age_ms", "u32", "ms", "Time since the result was published", _age_ms),
     _F(22, "elapsed_us", "u32", "us", "Time the inspection of the frame took", lambda p: p.snapshot.elapsed_us),

@@ -253,6 +253,73 @@ def test_reload_opens_again_only_what_changed(
     assert (at_work.camera.opened, at_work.lamp.closed) == (1, 1)
 
 
+def test_by_another_recipe_the_last_result_is_no_verdict_until_there_is_a_new_one(
+    bench: Callable[..., Bench], shown: Callable[..., Any], wait_until: Callable[..., Any]
+) -> None:
+    at_work = bench()
+    at_work.camera.permits.release()
+    shown(at_work, lambda r: r["sequence"] == 1 and r["verdict"] == Verdict.PASS, "a result")
+    at_work.station.settings["recipe"] = {"id": 2}
+    wait_until(lambda: at_work.camera.waiting, "a cycle under way")
+    reload(at_work)
+    taken = shown(at_work, lambda r: r["recipe_id"] == 2, "new recipe")
+    assert (taken["sequence"], taken["verdict"], taken["panels_passed"]) == (2, Verdict.NOT_INSPECTED, 2)
+    assert Status.RESULTS_VALID not in Status(int(taken["status"]))
+    wait_until(lambda: at_work.camera.waiting, "a cycle under way")
+    reload(at_work)  # nothing has changed: the result stays
+    again = shown(at_work, lambda r: r["sequence"] == 3 and r["state"] != State.CONTINUOUS_EXECUTION, "the same again")
+    assert (again["recipe_id"], again["verdict"]) == (2, Verdict.PASS)
+
+
+def test_a_result_that_is_held_keeps_its_recipe_over_new_settings(
+    bench: Callable[..., Bench], shown: Callable[..., Any]
+) -> None:
+    at_work = bench(plc={"port": 0, "buffer_results": True})
+    at_work.camera.permits.release()
+    before = shown(at_work, lambda r: r["sequence"] == 1, "a result")
+    at_work.station.settings["recipe"] = {"id": 2, "lamp_percent": 50.0}
+    reload(at_work)
+    held = shown(at_work, lambda r: r["lamp_set_mv"] == 2500, "new recipe")
+    kept = ("sequence", "verdict", "recipe_id", "recipe_hash", "configuration_hash")
+    assert [held[name] for name in kept] == [before[name] for name in kept]
+    assert held["verdict"] == Verdict.PASS
+
+
+@pytest.mark.parametrize("fails", ["inspector.line_history.extent_of", "inspector.daemon.configuration_hash"])
+def test_settings_that_are_refused_change_nothing_whatever_they_are_refused_for(
+    fails: str, bench: Callable[..., Bench], shown: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone(*_: Any) -> Any:
+        raise CalibrationError("the calibration is gone")
+
+    at_work = bench()
+    at_work.camera.permits.release()
+    before = shown(at_work, lambda r: r["sequence"] == 1, "a result")
+    at_work.station.settings |= {"recipe": {"id": 2, "lamp_percent": 50.0}, "plc": {"port": 0, "idle_timeout_s": 9.0}}
+    port = at_work.daemon.port
+    monkeypatch.setattr(fails, gone)
+    reload(at_work)
+    shown(at_work, lambda r: Status.SETTINGS_REFUSED in Status(int(r["status"])), "refused")
+    at_work.camera.permits.release()
+    after = shown(at_work, lambda r: r["sequence"] == 3, "a result after it")
+    same = ("recipe_id", "lamp_set_mv", "lamp_read_mv", "configuration_hash", "verdict")
+    assert [after[name] for name in same] == [before[name] for name in same]
+    assert at_work.daemon.port == port
+
+
+def test_an_error_while_the_station_gets_ready_is_not_hidden_by_the_farewell(
+    station: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: Any) -> Any:
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(Daemon, "_triggered", fails)
+    daemon = Daemon(station.file, load(station.file), Signals(), notifier=Notifier({}))
+    daemon.start()
+    with pytest.raises(ZeroDivisionError):
+        daemon.run(Limits())
+
+
 def test_reload_lets_the_cycle_be_silent_for_as_long_as_the_new_devices_may(
     bench: Callable[..., Bench], wait_until: Callable[..., Any]
 ) -> None:

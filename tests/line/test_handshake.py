@@ -46,6 +46,16 @@ class Line:
         return [order.action for order in self.orders]
 
 
+def test_a_result_that_is_held_keeps_what_it_was_made_by() -> None:
+    line = Line(always_buffer=True)
+    line.live = replace(line.live, recipe_id=1, simulated=True)
+    line.result()
+    line.live = replace(line.live, recipe_id=2, simulated=False, verdict=Verdict.NOT_INSPECTED)
+    assert (line.shown.recipe_id, line.shown.simulated, line.shown.verdict) == (1, True, Verdict.PASS)
+    line.acknowledge(1)
+    assert (line.shown.recipe_id, line.shown.simulated, line.shown.verdict) == (2, False, Verdict.NOT_INSPECTED)
+
+
 def test_every_step_event_and_action_is_used_and_every_step_can_be_left() -> None:
     assert {event for _, event in TABLE} == set(Event)
     assert {step for step, _ in TABLE} == {step for step, _ in TABLE.values()} == set(Step)

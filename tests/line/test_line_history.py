@@ -190,7 +190,7 @@ def test_new_settings_go_on_with_what_is_remembered(history: LineHistory) -> Non
     for sequence in range(1, 61):
         after(history, result(sequence))
     wide = DEMO.statistics.model_copy(update={"window_panels": 20})
-    history.take_over(DEMO.model_copy(update={"statistics": wide}))
+    history.take_over(DEMO.model_copy(update={"statistics": wide}), EXTENT)
     found = after(history, result(61))
     assert (found.panels, found.recent_panels) == (61, 20)
 

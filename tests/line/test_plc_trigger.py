@@ -14,8 +14,8 @@ import pytest
 from inspector.control import PlcControl
 from inspector.handshake_table import Answer, Command, CommandResult, Control
 from inspector.model import Snapshot, State, Verdict
-from inspector.publish.plc_server import PlcServer
-from inspector.publish.registers import CONTROL_ADDRESS
+from inspector.publish.plc_server import PlcServer, PlcServerError
+from inspector.publish.registers import CONTROL_ADDRESS, Status
 from tests.line.conftest import Plc
 from tests.line.test_daemon import Bench, bench, reload, shown
 
@@ -165,6 +165,32 @@ def test_a_recipe_is_changed_when_it_is_whole_and_the_old_one_stays_otherwise(li
     assert at.plc.read()["recipe_id"] == 2
     choice = at.station.station.folder / "choice.json"
     assert json.loads(choice.read_text())["recipe_id"] == 2
+
+
+def test_certificates_are_read_anew_with_the_settings_file_and_not_with_a_recipe(
+    line: Callable[..., Line], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def expired(_: PlcServer) -> None:
+        raise PlcServerError("the certificate has expired")
+
+    at = line(recipe=1, recipes=[{"id": 1, "name": "one"}, {"id": 2, "name": "two"}])
+    at.until_set(Answer.TRIGGER_READY)
+    monkeypatch.setattr(PlcServer, "renew_certificates", expired)
+    assert at.execute(Command.CHANGE_RECIPE, 2) == CommandResult.DONE
+    at.until_set(Answer.TRIGGER_READY)
+    reload(at.station)
+    refused = at.until(lambda r: Status.SETTINGS_REFUSED in Status(int(r["status"])), "refused")
+    assert refused["recipe_id"] == 2
+
+
+def test_what_only_stands_behind_the_registers_is_changed_without_a_connection_lost(line: Callable[..., Line]) -> None:
+    at = line()
+    before = at.until_set(Answer.TRIGGER_READY)
+    at.station.station.settings["plc"] = {"port": 0, "buffer_results": True, "sequence_file": "sequence.json"}
+    reload(at.station)
+    at.until(lambda r: r["configuration_hash"] != before["configuration_hash"], "new settings")
+    at.control(Control.TRIGGER)
+    at.until_set(Answer.BUFFERING)
 
 
 def test_a_trigger_taken_before_new_settings_is_kept_or_counted_as_missed(line: Callable[..., Line]) -> None:

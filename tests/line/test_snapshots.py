@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from inspector.faults import Fault
 from inspector.model import Defect, Frame, FrameResult, Reason, Snapshot, State, Unpaired, Verdict
 from inspector.publish.console import how_to_poll, panel_line
-from inspector.snapshots import FRAME_FAULTS, Times, inspected, not_inspected, stopped
+from inspector.snapshots import FRAME_FAULTS, Times, inspected, not_inspected, stopped, taken_back
 
 FRAME = Frame(np.zeros((2, 2), np.uint8), "a/b.png", frame_id=9, exposure_us=1000.0, lamp_v=4.0)
 SEED = Defect(1.0, 2.0, 700.0, 3.0, (1.0, 1.0), (2.0, 2.0))
@@ -78,6 +78,16 @@ def test_every_cycle_is_one_result(cycles: list[Verdict | Fault]) -> None:
         assert not (shown.state is State.ERROR and shown.verdict is not Verdict.NOT_INSPECTED)
     counted = shown.panels_passed + shown.panels_failed + shown.panels_not_inspected
     assert counted == len(cycles)
+
+
+def test_by_other_settings_the_last_result_is_nobodys_and_one_not_inspected_keeps_its_reasons() -> None:
+    panel = replace(inspected(FIRST, FRAME, result(Verdict.FAIL, Reason.HEIGHT_LIMIT), TIMES), panel_frames=3)
+    shown = taken_back(panel)
+    assert (shown.verdict, shown.reasons, shown.defects, shown.unpaired_count) == (Verdict.NOT_INSPECTED, 0, (), 0)
+    assert (shown.sequence, shown.panels_failed, shown.panel_frames) == (1, 1, 1)
+    failed = taken_back(not_inspected(panel, Fault.CAMERA_GONE, TIMES))
+    assert (failed.verdict, failed.reasons) == (Verdict.NOT_INSPECTED, Reason.DEVICE_FAULT)
+    assert failed.fault_code == Fault.CAMERA_GONE
 
 
 def test_a_stopped_station_stands_behind_nothing() -> None:
