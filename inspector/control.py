@@ -116,6 +116,12 @@ class PlcControl:
         return self._state.missed
 
     @property
+    def missed_before(self) -> int:
+        """:attr:`missed` as it was when the TRIGGER came whose cycle has not ended; as it is if there is none."""
+        trigger = self._trigger
+        return self._state.missed if trigger is None else trigger.missed
+
+    @property
     def asks(self) -> bool:
         """Whether :meth:`take_command`, :meth:`take_clear` or :meth:`take_panel_marks` has something."""
         return self._command is not None or self._clear or bool(self._marks)

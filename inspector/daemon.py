@@ -213,7 +213,7 @@ class Daemon:
 
     def _inspect_one(self) -> None:
         """One cycle, and its result for everybody."""
-        started_s, panel_id = time.monotonic(), self._control.panel_id
+        started_s, panel_id, missed_before = time.monotonic(), self._control.panel_id, self._control.missed_before
         self._trigger.begins(started_s)
         one_by_one = pace.one_by_one(self._settings.cycle)
         if one_by_one:
@@ -229,7 +229,7 @@ class Daemon:
             shown = replace(shown, state=after(shown.state, Event.FINISHED, Event.STOPPED))
         self._trigger.took(turn.frame_id)
         if self._panels is not None:
-            self._panels.took(turn, self._missed, panel_id)
+            self._panels.took(turn, self._trigger.missed + missed_before, panel_id)
         # Before anybody sees the result: whoever then triggers again is in time.
         self._trigger.ended(time.monotonic(), self._cycle.resume_s(started_s))
         if self._panels is None:
@@ -245,7 +245,7 @@ class Daemon:
         """The frame is there: what is left waits for no device, so that silence is soon a stall."""
         try:
             if self._panels is not None:
-                self._panels.glance()
+                self._panels.glance(self._missed)
             self._trigger.glance()
         finally:
             self._server.beat(INSPECTION_S)
@@ -257,7 +257,7 @@ class Daemon:
         """See whether a panel has come or gone while the station waits; how soon to look again, seconds."""
         if self._panels is None:
             return math.inf
-        self._panels.look()
+        self._panels.look(self._missed)
         self._publish_panels(self._panels)
         return self._panels.look_s
 
@@ -278,7 +278,7 @@ class Daemon:
         """Do what the PLC asks besides inspections."""
         marks = self._control.take_panel_marks()
         if self._panels is not None:
-            self._panels.mark(marks, self._control.trigger_s)
+            self._panels.mark(marks, self._control.trigger_s, self._trigger.missed)
             self._publish_panels(self._panels)
         if self._control.take_clear():
             self._cycle.try_again()
@@ -359,7 +359,7 @@ class Daemon:
             self._publish_panels(self._panels)
         self._cycle.take_over(new, devices, inspect)
         self._history.take_over(new, one_frame)
-        self._panels = panels
+        self._panels = panels.after(self._panels, new.camera == old.camera) if panels else None
         self._settings = new
         self._serve()
         self._post_anew(old)

@@ -36,13 +36,14 @@ class ControlBlock:
 @dataclass(frozen=True, slots=True)
 class Order:
     """An action that somebody else carries out, one of :data:`ORDERS`, and when it was asked for on the caller's
-    clock. ``panel_id`` 0: the PLC gave none."""
+    clock. ``panel_id`` 0: the PLC gave none. ``missed``: how often TRIGGER had been missed until then."""
 
     action: Action
     asked_s: float
     panel_id: int = 0
     command: int = 0
     argument: int = 0
+    missed: int = 0
 
 
 ORDERS = (Action.BEGIN_CYCLE, Action.CLEAR_FAULTS, Action.RUN_COMMAND, Action.START_PANEL, Action.END_PANEL)
@@ -209,7 +210,7 @@ def _order(state: Handshake, action: Action, now_s: float) -> Order:
     block = state.control
     begun = state.panel is Step.PANEL_BEGUN and action is not Action.START_PANEL
     panel_id = state.panel_id if begun or action is Action.END_PANEL else block.panel_id
-    return Order(action, now_s, panel_id, block.command, block.argument)
+    return Order(action, now_s, panel_id, block.command, block.argument, state.missed)
 
 
 def _offered(state: Handshake) -> Handshake:

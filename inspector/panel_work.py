@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from firmware_bridge.errors import BridgeError
 from inspector.acquire.outage import Outage
-from inspector.acquire.panels import Done, Panels
+from inspector.acquire.panels import NO_FRAME, Done, Panels
 from inspector.cycle import Turn
 from inspector.handshake import Order
 from inspector.handshake_table import Action
@@ -20,7 +20,8 @@ from inspector.stages import Judging, judging_of
 
 
 class PanelWork:
-    """The panels of one station. ``read_input`` reads a digital input by channel; ``missed``: triggers until now."""
+    """The panels of one station. ``read_input`` reads a digital input by channel. ``missed`` is everywhere the number
+    of triggers missed in all until then, unless it says otherwise."""
 
     def __init__(
         self,
@@ -35,6 +36,7 @@ class PanelWork:
         self._input = settings.panel.frames if isinstance(settings.panel.frames, ByInput) else None
         self._read_s = -math.inf
         self._marks: deque[Order] = deque()
+        self._missed_otherwise: int | None = None
         self._done: list[PanelFrames] = []
         self._program = Outage("judging of panels", clock)
 
@@ -64,18 +66,32 @@ class PanelWork:
         """Whether the frame just taken is of a panel."""
         return self._panels.wants_frame
 
-    def mark(self, marks: list[Order], before_s: float) -> None:
-        """Starts and ends from the PLC; those after ``before_s``, of a TRIGGER that waits, come after its frame."""
+    def after(self, before: PanelWork | None, same_camera: bool) -> PanelWork:
+        """These panels, their frames counted on where ``before`` has come, if they make panels as they did."""
+        if before is not None:
+            self._panels.goes_on(before._panels, same_camera)
+        return self
+
+    def mark(self, marks: list[Order], before_s: float, missed_otherwise: int) -> None:
+        """Starts and ends from the PLC; those after ``before_s``, of a TRIGGER that waits, come after its frame.
+
+        ``missed_otherwise``: triggers missed in all until now that were none of the PLC's; those since the last call
+        came before the marks or after them, so that no panel of theirs has been seen whole.
+        """
+        doubt = self._missed_otherwise is not None and missed_otherwise > self._missed_otherwise
+        self._missed_otherwise = missed_otherwise
         self._marks += marks
         while self._marks and self._marks[0].asked_s <= before_s:
             order = self._marks.popleft()
-            panel_id = order.panel_id or None
+            panel_id, missed = order.panel_id or None, order.missed + missed_otherwise
             if order.action is Action.START_PANEL:
-                self._keep(self._panels.started(panel_id, self._clock()))
+                self._keep(self._panels.started(panel_id, self._clock(), missed))
+                if doubt:
+                    self._panels.misses(NO_FRAME)
             else:
-                self._keep(self._panels.ended(panel_id))
+                self._keep(self._panels.ended(panel_id, missed))
 
-    def glance(self) -> None:
+    def glance(self, missed: int) -> None:
         """In the middle of a cycle, right after the exposure: see whether a panel is in view."""
         if self._input is None:
             return
@@ -85,21 +101,21 @@ class PanelWork:
         except BridgeError as error:
             self._panels.misses(f"whether it was in view could not be read: {error}")
             return
-        self._keep(self._panels.in_view(on, self._clock()))
+        self._keep(self._panels.in_view(on, self._clock(), missed))
 
-    def look(self) -> None:
+    def look(self, missed: int) -> None:
         """While the station waits: see whether a panel is in view, or has been waited for long enough."""
         if self._clock() >= self._read_s + self.look_s:
-            self.glance()
-        self._keep(self._panels.look(self._clock()))
+            self.glance(missed)
+        self._keep(self._panels.look(self._clock(), missed))
 
     def took(self, turn: Turn, missed: int, panel_id: int) -> None:
-        """A cycle is done. ``missed`` triggers in all; ``panel_id`` as the PLC gave it, 0: it gave none."""
+        """A cycle is done. ``missed``: until its trigger came; ``panel_id`` as the PLC gave it, 0: it gave none."""
         now_s = self._clock()
         if turn.frame is not None:
             self._keep(self._panels.took(turn.frame, turn.result, missed, now_s, panel_id or None))
         else:
-            self._keep(self._panels.failed("; ".join(turn.why), missed, now_s))
+            self._keep(self._panels.failed("; ".join(turn.why), missed, now_s, panel_id or None))
 
     def interrupted(self, why: str) -> None:
         """The panel under way, if there is one, ends here."""

@@ -2,11 +2,15 @@
 
 Rules. A trigger that brought no frame, missed or failed, keeps its place: the panel's later frames stay where they are,
 a count counts it, and the panel has not been seen whole. A panel whose end does not come, whose start did not come, or
-that began while nobody looked, is ended all the same, and says what it misses: no panel goes silently.
+that began while nobody looked, is ended all the same, and says what it misses: no panel goes silently. A trigger that
+was missed is one of the panel's that was under way when it is told, which is before that panel ends.
+
+``missed`` is everywhere the number of triggers missed in all until then; for a frame, until its own trigger came.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from inspector.model import Frame, FrameResult, PanelFrame, PanelFrames
@@ -37,13 +41,14 @@ class _Panel:
 
 
 class Panels:
-    """Gathers frames into panels by ``settings``, where panels have several frames. ``missed``: triggers until now."""
+    """Gathers frames into panels by ``settings``, where panels have several frames."""
 
     def __init__(self, settings: PanelSettings, missed: int = 0) -> None:
         self._settings, self._frames = settings, settings.frames
         self._count = settings.frames.count if isinstance(settings.frames, ByCount) else None
         self._panel: _Panel | None = None
         self._trigger, self._missed = 0, missed
+        self._told = missed
         self._due: int | None = None
         self._last_id: int | None = None
         self._last_trigger = 0
@@ -70,23 +75,35 @@ class Panels:
                 return self._panel is not None and self._off_since_s is None
         return True
 
-    def started(self, panel_id: int | None, now_s: float) -> Done:
+    def goes_on(self, before: Panels, same_camera: bool) -> None:
+        """Count places on where ``before`` has come, if frames make panels as they did; ``same_camera``: so do ids."""
+        if self._count is None or self._count != before._count:
+            return
+        self._trigger, self._due = before._trigger, before._due
+        self._missed, self._told = before._missed, before._told
+        if same_camera:
+            self._last_id, self._last_trigger = before._last_id, before._last_trigger
+
+    def started(self, panel_id: int | None, now_s: float, missed: int) -> Done:
         """The PLC says that a panel begins; it ends the one before."""
         if not isinstance(self._frames, ByPlcMarks):
             return ()
+        self._tell(missed)
         done = self._end() if self._panel else ()
         self._begin(panel_id, now_s)
+        self._told = missed  # What was told since the PLC wrote this is of the panel that begins, too.
         return done
 
-    def ended(self, panel_id: int | None) -> Done:
+    def ended(self, panel_id: int | None, missed: int) -> Done:
         """The PLC says that the panel ends."""
         if not isinstance(self._frames, ByPlcMarks):
             return ()
         if self._panel is None:
             return (PanelFrames(panel_id, (), ("its end came without its start",)),)
+        self._tell(missed)
         return self._end()
 
-    def in_view(self, on: bool, now_s: float) -> Done:
+    def in_view(self, on: bool, now_s: float, missed: int) -> Done:
         """How the input stands that says whether a panel is in view."""
         if not isinstance(self._frames, ByInput):
             return ()
@@ -97,7 +114,10 @@ class Panels:
                 panel = self._begin(None, now_s)
                 if at_first:
                     panel.misses("it was in view already when the station began to look")
+            # It may have come into view before what was missed since the last look.
+            self._tell(missed)
             return ()
+        self._tell(missed)
         if self._off_since_s is None:
             self._off_since_s = now_s
         over = now_s - self._off_since_s >= self._frames.debounce_s
@@ -106,14 +126,17 @@ class Panels:
     def took(
         self, frame: Frame, result: FrameResult | None, missed: int, now_s: float, panel_id: int | None = None
     ) -> Done:
-        """A frame was taken; ``result`` None if it was not wanted. ``missed`` triggers in all; ``panel_id`` as the PLC
-        gave it for a panel that begins with this frame."""
+        """A frame was taken; ``result`` None if it was not wanted. ``panel_id`` as the PLC gave it for a panel that
+        begins with this frame."""
         done = self._passed_over(missed, frame.frame_id)
         if result is None:
             return done
-        if self._panel and isinstance(self._frames, ByLength) and self._panel.frames:
-            done += self._end() if self._travelled_mm(self._panel, frame) >= self._frames.length_mm else ()
+        beyond_mm = self._beyond_mm(frame)
+        if beyond_mm >= 0:
+            done += self._end()
         panel = self._panel or self._begin(panel_id, now_s)
+        if self._mm_per_frame is not None and beyond_mm >= self._mm_per_frame:
+            panel.misses(NO_FRAME)
         if panel.first is None:
             panel.first = self._trigger
         if not panel.frames:
@@ -125,21 +148,25 @@ class Panels:
         panel.latest_s = now_s
         return done + self._full()
 
-    def failed(self, why: str, missed: int, now_s: float) -> Done:
-        """A cycle brought no frame that could be inspected, because of ``why``."""
+    def failed(self, why: str, missed: int, now_s: float, panel_id: int | None = None) -> Done:
+        """A cycle brought no frame that could be inspected, because of ``why``; ``panel_id`` as for :meth:`took`."""
         done = self._passed_over(missed)
         if self._panel is None and self._count:
-            self._begin(None, now_s)
+            self._begin(panel_id, now_s)
         if self._panel is None:
             return done
         self._panel.misses(f"a frame is missing: {why}")
         return done + self._full()
 
-    def look(self, now_s: float) -> Done:
-        """Nothing has happened; a panel may have been waited for long enough."""
+    def look(self, now_s: float, missed: int) -> Done:
+        """No cycle runs; triggers may have been missed, and a panel may have been waited for long enough: frames are
+        then counted anew."""
+        self._tell(missed)
         if self._panel is None or now_s - self._panel.latest_s < self._settings.timeout_s:
             return ()
-        return self.interrupted(f"neither a frame nor its end came for {self._settings.timeout_s:g} s")
+        done = self.interrupted(f"neither a frame nor its end came for {self._settings.timeout_s:g} s")
+        self._due = None
+        return done
 
     def misses(self, why: str) -> None:
         """Something keeps the panel under way, if there is one, from being seen whole."""
@@ -147,12 +174,12 @@ class Panels:
             self._panel.misses(why)
 
     def interrupted(self, why: str) -> Done:
-        """The panel under way, if there is one, ends here; frames are counted anew."""
+        """The panel under way, if there is one, ends here. By count, its places left are those of a panel that has
+        not been seen whole, and the panels that follow begin where they would have."""
         if self._panel is None:
             return ()
         self._panel.misses(why)
-        done, self._due = self._end(), None
-        return done
+        return self._end()
 
     def _begin(self, panel_id: int | None, now_s: float) -> _Panel:
         panel = self._panel = _Panel(panel_id, now_s)
@@ -179,20 +206,37 @@ class Panels:
     def _passed_over(self, missed: int, frame_id: int | None = None) -> Done:
         """Numbers this cycle's trigger; those between it and the last one brought no frame, and the panel misses them.
 
-        They are those counted, or, where each frame is one trigger's, those that the frames' numbers show.
+        They are those counted, or, where each frame is one trigger's, those that the frames' numbers show. Those told
+        already were another panel's, if that one has ended.
         """
         lost = missed - self._missed
         if frame_id is not None and self._last_id is not None and self._mm_per_frame is not None:
             lost = max(lost, frame_id - self._last_id - 1 - (self._trigger - self._last_trigger))
-        lost, self._missed = max(lost, 0), missed
+        lost = max(lost, 0)
+        untold = lost > self._told - self._missed
+        self._missed, self._told = missed, max(self._told, missed)
         self._trigger += lost + 1
         if frame_id is not None:
             self._last_id, self._last_trigger = frame_id, self._trigger
         if self._panel is None or not lost:
             return ()
-        self._panel.misses(NO_FRAME)
+        if untold:
+            self._panel.misses(NO_FRAME)
         first = self._panel.first
         return self._end() if self._count and first is not None and self._trigger >= first + self._count else ()
+
+    def _tell(self, missed: int) -> None:
+        """The panel under way, if there is one, learns what was missed since anybody was told."""
+        if missed > self._told:
+            self.misses(NO_FRAME)
+            self._told = missed
+
+    def _beyond_mm(self, frame: Frame) -> float:
+        """How far this frame is beyond the end of the panel under way, where a length ends it; negative: within."""
+        panel = self._panel
+        if panel is None or not panel.frames or not isinstance(self._frames, ByLength):
+            return -math.inf
+        return self._travelled_mm(panel, frame) - self._frames.length_mm
 
     @property
     def _mm_per_frame(self) -> float | None:

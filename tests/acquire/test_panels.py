@@ -38,13 +38,13 @@ class Line:
         self.now_s += 0.1
         self.missed += 1
 
-    def fail(self) -> None:
+    def fail(self, panel_id: int | None = None) -> None:
         self.now_s += 0.1
-        self.done += self.panels.failed("CAMERA_TIMEOUT", self.missed, self.now_s)
+        self.done += self.panels.failed("CAMERA_TIMEOUT", self.missed, self.now_s, panel_id)
 
     def input(self, on: bool, after_s: float = 0.0) -> None:
         self.now_s += after_s
-        self.done += self.panels.in_view(on, self.now_s)
+        self.done += self.panels.in_view(on, self.now_s, self.missed)
 
     @property
     def shown(self) -> list[tuple[list[str], list[float], bool]]:
@@ -142,23 +142,23 @@ def test_a_clock_that_was_set_back_is_told() -> None:
 def test_a_panel_that_gets_no_more_frames_ends_after_its_time_and_the_count_begins_anew() -> None:
     line = Line(COUNT)
     line.take()
-    assert line.panels.look(line.now_s + 4.9) == ()
-    line.done += line.panels.look(line.now_s + 5.0)
+    assert line.panels.look(line.now_s + 4.9, 0) == ()
+    line.done += line.panels.look(line.now_s + 5.0, 0)
     assert line.shown == [(["frame 1"], [0.0], False)]
     assert "for 5 s" in line.done[0].missing[0]
     for _ in range(3):
         line.take()
     assert line.shown[1][2]
-    assert line.panels.look(line.now_s + 100) == ()
+    assert line.panels.look(line.now_s + 100, 0) == ()
 
 
 def test_the_plc_begins_and_ends_a_panel_and_its_id_comes_back() -> None:
     line = Line({"kind": "plc"})
     line.take()
-    line.panels.started(17, line.now_s)
+    line.panels.started(17, line.now_s, line.missed)
     line.take()
     line.take()
-    line.done += line.panels.ended(17)
+    line.done += line.panels.ended(17, line.missed)
     line.take()
     assert line.shown == [(["frame 2", "frame 3"], [0.0, 10.0], True)]
     assert line.done[0].panel_id == 17
@@ -167,12 +167,12 @@ def test_the_plc_begins_and_ends_a_panel_and_its_id_comes_back() -> None:
 
 def test_a_start_ends_the_panel_before_and_an_end_without_a_start_is_a_result_too() -> None:
     line = Line({"kind": "plc"})
-    line.panels.started(17, 0.0)
+    line.panels.started(17, 0.0, line.missed)
     line.take()
-    line.done += line.panels.started(18, line.now_s)
+    line.done += line.panels.started(18, line.now_s, line.missed)
     line.take()
-    line.done += line.panels.ended(18)
-    line.done += line.panels.ended(19)
+    line.done += line.panels.ended(18, line.missed)
+    line.done += line.panels.ended(19, line.missed)
     assert [(p.panel_id, len(p.frames), p.missing) for p in line.done] == [
         (17, 1, ()),
         (18, 1, ()),
@@ -182,8 +182,8 @@ def test_a_start_ends_the_panel_before_and_an_end_without_a_start_is_a_result_to
 
 def test_a_panel_begun_whose_end_and_frames_do_not_come_ends_after_its_time() -> None:
     line = Line({"kind": "plc"})
-    line.panels.started(17, 0.0)
-    (left,) = line.panels.look(5.0)
+    line.panels.started(17, 0.0, line.missed)
+    (left,) = line.panels.look(5.0, 0)
     assert (left.panel_id, left.frames) == (17, ())
     assert left.missing
 
@@ -195,13 +195,13 @@ def test_a_panel_begun_whose_end_and_frames_do_not_come_ends_after_its_time() ->
 def test_trouble_in_the_middle_of_a_panel_is_never_forgotten(trouble: str, frames: dict[str, Any]) -> None:
     line = Line(frames)
     line.input(False)
-    line.panels.started(1, 0.0)
+    line.panels.started(1, 0.0, line.missed)
     line.input(True)
     line.take()
     getattr(line, trouble)()
     line.take()
     line.take()
-    line.done += line.panels.ended(1)
+    line.done += line.panels.ended(1, line.missed)
     line.input(False)
     line.input(False, after_s=1.0)
     line.take()
@@ -249,15 +249,79 @@ def test_a_length_ends_a_panel_and_its_next_frame_begins_the_next_one() -> None:
     ]
 
 
-def test_what_is_interrupted_is_told_and_begins_anew() -> None:
+def test_what_is_interrupted_is_told_and_the_panels_that_follow_begin_where_they_would_have() -> None:
     line = Line(COUNT)
     line.take()
     line.done += line.panels.interrupted("the recipe was changed")
     assert line.done[0].missing == ("the recipe was changed",)
     assert line.panels.interrupted("again") == ()
+    before, line.panels = line.panels, Line(COUNT).panels
+    line.panels.goes_on(before, same_camera=True)
+    for _ in range(5):
+        line.take()
+    assert line.shown[1:] == [
+        (["frame 2", "frame 3"], [10.0, 20.0], False),
+        (["frame 4", "frame 5", "frame 6"], [0.0, 10.0, 20.0], True),
+    ]
+
+
+def test_panels_that_are_made_otherwise_begin_anew() -> None:
+    before, line = Line(COUNT), Line({"kind": "count", "count": 2})
+    before.take()
+    line.panels.goes_on(before.panels, same_camera=True)
+    line.take()
+    line.take()
+    assert line.shown[0][2]
+
+
+@pytest.mark.parametrize("frames", [{"kind": "plc"}, {"kind": "digital_input"}])
+@pytest.mark.parametrize("looked", [False, True])
+def test_a_trigger_missed_after_a_panels_last_frame_is_that_panels_and_not_the_next_ones(
+    frames: dict[str, Any], looked: bool
+) -> None:
+    line = Line(frames)
+    line.input(False)
+    for _ in range(2):
+        line.panels.started(1, line.now_s, line.missed)
+        line.input(True)
+        line.take()
+        line.take()
+        if not line.done:
+            line.miss()
+        if looked:
+            line.panels.look(line.now_s, line.missed)
+        line.done += line.panels.ended(1, line.missed)
+        line.input(False)
+        line.input(False, after_s=1.0)
+    assert [(len(frames), whole) for frames, _, whole in line.shown if frames] == [(2, False), (2, True)]
+    assert [panel.missing for panel in line.done if panel.frames] == [(NO_FRAME,), ()]
+
+
+def test_a_start_of_the_plc_ends_no_panel_as_whole_whose_last_trigger_was_missed() -> None:
+    line = Line({"kind": "plc"})
+    line.panels.started(1, 0.0, line.missed)
+    line.take()
+    line.miss()
+    line.done += line.panels.started(2, line.now_s, line.missed)
+    assert line.shown == [(["frame 1"], [0.0], False)]
+
+
+def test_a_panel_by_length_whose_first_trigger_was_missed_has_not_been_seen_whole() -> None:
+    line = Line({"kind": "length", "length_mm": 25.0})
     for _ in range(3):
         line.take()
-    assert line.shown[1][2]
+    line.miss()
+    for _ in range(4):
+        line.take()
+    assert [whole for _, _, whole in line.shown] == [False, False]
+
+
+def test_a_panel_whose_first_frame_failed_has_the_id_that_the_plc_gave_with_it() -> None:
+    line = Line(COUNT)
+    line.fail(panel_id=5)
+    line.take(panel_id=5)
+    line.take(panel_id=5)
+    assert (line.done[0].panel_id, line.shown[0][2]) == (5, False)
 
 
 def test_a_panel_has_the_id_that_the_plc_gave_with_its_first_frame() -> None:

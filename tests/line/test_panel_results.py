@@ -160,6 +160,54 @@ def test_a_trigger_that_was_missed_within_a_panel_keeps_it_from_passing(line: Ca
     assert (done["verdict"], done["panel_frames"]) == (Verdict.NOT_INSPECTED, 2)
 
 
+def triggered_again(at: Line) -> None:
+    """The PLC triggers, and once more while the frame is still to come; then it comes."""
+    at.until_set(Answer.TRIGGER_READY)
+    missed = at.plc.read()["missed_triggers"]
+    at.control(Control.TRIGGER)
+    at.until_set(Answer.TRIGGER_ACK)
+    at.control()
+    at.control(Control.TRIGGER)
+    at.until(lambda r: r["missed_triggers"] == missed + 1, "a missed trigger")
+    at.control()
+    at.station.camera.permits.release()
+    at.until_set(Answer.TRIGGER_READY)
+
+
+def test_the_last_trigger_of_a_panel_missed_is_that_panels_and_not_the_next_ones(line: Callable[..., Line]) -> None:
+    at = line(panel=BY_MARKS, cycle=BY_PLC, recipe=RECIPE)
+    at.until_set(Answer.TRIGGER_READY)
+    at.control(Control.PANEL_START)
+    inspect_one(at, 2)
+    at.control(Control.OFFLINE)
+    at.control(Control.OFFLINE | Control.TRIGGER)
+    at.until_set(Answer.TRIGGER_MISSED)
+    at.control(Control.PANEL_END)
+    done = at.until(lambda r: r["sequence"] == 1, "a result")
+    assert (done["verdict"], done["panel_frames"]) == (Verdict.NOT_INSPECTED, 2)
+    at.control(Control.PANEL_START)
+    inspect_one(at, 2)
+    at.control(Control.PANEL_END)
+    done = at.until(lambda r: r["sequence"] == 2, "the next one")
+    assert (done["verdict"], done["panel_frames"]) == (Verdict.PASS, 2)
+
+
+def test_a_trigger_missed_while_a_panels_last_frame_is_taken_is_the_next_panels_first(
+    line: Callable[..., Line],
+) -> None:
+    at = line(panel=BY_COUNT, cycle=BY_PLC, recipe=RECIPE)
+    inspect_one(at, 2)
+    triggered_again(at)
+    first = at.until(lambda r: r["sequence"] == 1, "a result")
+    assert (first["verdict"], first["panel_frames"]) == (Verdict.PASS, 3)
+    inspect_one(at, 2)
+    second = at.until(lambda r: r["sequence"] == 2, "the next one")
+    assert (second["verdict"], second["panel_frames"]) == (Verdict.NOT_INSPECTED, 2)
+    inspect_one(at, 3)
+    third = at.until(lambda r: r["sequence"] == 3, "the third one")
+    assert (third["verdict"], third["panel_frames"]) == (Verdict.PASS, 3)
+
+
 RECIPES = [
     {"id": 1, "name": "black", "lamp_percent": 80.0, "exposure_us": 1000.0},
     {"id": 2, "name": "white", "lamp_percent": 60.0, "exposure_us": 400.0},

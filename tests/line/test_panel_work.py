@@ -42,12 +42,12 @@ class Line:
 
     def wait(self, wait_s: float) -> None:
         self.now_s += wait_s
-        self.work.look()
+        self.work.look(0)
 
     def frame(self) -> None:
         """A cycle: the exposure, a look at the input, the inspection where the frame is of a panel."""
         self.frame_id += 1
-        self.work.glance()
+        self.work.glance(0)
         frame = Frame(np.zeros((1, 1), np.uint8), "f", self.frame_id, taken_at_s=self.now_s)
         result = FrameResult("f", Verdict.PASS) if self.work.wants_frame() else None
         self.work.took(Turn(Snapshot(), frame_id=self.frame_id, frame=frame, result=result), 0, 0)
@@ -102,17 +102,38 @@ def mark(action: Action, at_s: float, panel_id: int = 0) -> Order:
 @pytest.mark.parametrize(("trigger_s", "frames"), [(1.5, 1), (2.5, 0)])
 def test_an_end_after_a_trigger_that_waits_comes_after_its_frame(trigger_s: float, frames: int) -> None:
     line = Line({"kind": "plc"})
-    line.work.mark([mark(Action.START_PANEL, 1.0, 7), mark(Action.END_PANEL, 2.0, 7)], trigger_s)
+    line.work.mark([mark(Action.START_PANEL, 1.0, 7), mark(Action.END_PANEL, 2.0, 7)], trigger_s, 0)
     line.frame()
-    line.work.mark([], float("inf"))
+    line.work.mark([], float("inf"), 0)
     (panel,) = line.work.results()
     assert (panel.panel_id, len(panel.travels_mm)) == (7, frames)
 
 
 def test_a_panel_that_was_waited_for_long_enough_is_ended() -> None:
     line = Line({"kind": "plc"})
-    line.work.mark([mark(Action.START_PANEL, 0.0)], float("inf"))
+    line.work.mark([mark(Action.START_PANEL, 0.0)], float("inf"), 0)
     line.wait(8.9)
     assert line.shown() == []
     line.wait(0.2)
     assert line.shown() == [(Verdict.NOT_INSPECTED, 0)]
+
+
+def test_a_trigger_missed_after_a_panels_end_and_the_next_ones_start_is_the_next_ones() -> None:
+    line = Line({"kind": "plc"})
+    line.work.mark([mark(Action.START_PANEL, 0.0, 7)], float("inf"), 0)
+    line.frame()
+    # While the cycle ran: the end, the start, and a TRIGGER that was missed.
+    line.work.look(1)
+    line.work.mark([mark(Action.END_PANEL, 1.0, 7), mark(Action.START_PANEL, 1.0, 8)], float("inf"), 0)
+    line.work.look(1)
+    line.work.mark([Order(Action.END_PANEL, 2.0, 8, missed=1)], float("inf"), 0)
+    assert line.work.results()[-1].verdict is Verdict.NOT_INSPECTED
+
+
+def test_nobody_knows_on_which_side_of_the_marks_another_trigger_was_missed() -> None:
+    line = Line({"kind": "plc"})
+    line.work.mark([mark(Action.START_PANEL, 0.0, 7)], float("inf"), 0)
+    line.frame()
+    line.work.mark([mark(Action.END_PANEL, 1.0, 7), mark(Action.START_PANEL, 1.0, 8)], float("inf"), 1)
+    line.work.mark([mark(Action.END_PANEL, 2.0, 8)], float("inf"), 1)
+    assert [panel.verdict for panel in line.work.results()] == [Verdict.NOT_INSPECTED] * 2
