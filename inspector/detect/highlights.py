@@ -35,8 +35,8 @@ FLUX_SIGMA, CLIPPED_FLUX_SIGMA, BLOOM_FLUX_SIGMA = 0.1, 0.25, 1.2
 """Standard deviation of log flux: fitted whole, fitted on its flanks, and summed where charge was lost."""
 HIDDEN_CHI2, HIDDEN_SIGMA, HIDDEN_GAIN = 12.0, 8.0, 0.5
 """A second spot is tried where a fit is this poor and one pixel off by so much; kept if chi2 falls to this share."""
-MOST_HOSTS = 200
-"""Where more fits are poor, none is looked through: the lens or the exposure is wrong, not so many spots hidden."""
+MOST_LOOKED_THROUGH = 500
+"""In a frame of more spots none is looked for behind others: each look fits all of them anew."""
 HIDDEN_PEAK_SHARE, LEAST_APART_PX = 0.005, 1.7
 """A second spot fainter than this share of the first, or nearer to it, cannot be told from an unsharp one."""
 LOST_PX = 2.5
@@ -216,7 +216,7 @@ def _with_hidden(view: View, spots: Spots) -> tuple[Spots, kernel.Measured]:
     """The spots, fitted, with those that hid in poor fits, as far as each earns its place."""
     measured = _measure(view, spots)
     hosts = _hidden(spots, measured)
-    if len(hosts) == 0 or len(hosts) > MOST_HOSTS:
+    if len(hosts) == 0 or len(spots) > MOST_LOOKED_THROUGH:
         return spots, measured
     places = Fitted(measured.found).misfit_px[hosts]
     trial = _measure(view, spots.with_more(hosts, places))
