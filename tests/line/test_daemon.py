@@ -139,7 +139,9 @@ class Bench:
 
     def stop(self) -> None:
         self.signals.request_stop()
-        self.camera.permits.release(1000)
+        for camera in (self.camera, *(devices.camera for devices in self.built)):  # a reload may have built another
+            if isinstance(camera, FakeCamera):
+                camera.permits.release(1000)
         self._thread.join(30)
         assert not self._thread.is_alive()
 
