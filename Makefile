@@ -15,7 +15,7 @@ demo: $(VENV)/run.stamp  ## Set up and run the station on recorded frames; Ctrl-
 	$(BIN)/inspector run --config config/demo.yaml
 
 test: setup  ## Set up and pass the tests.
-	$(BIN)/pytest -n auto $(PYTEST_ARGS)
+	$(BIN)/pytest -n auto --dist loadgroup $(PYTEST_ARGS)
 
 lint: setup  ## Style, types and import rules.
 	$(BIN)/ruff check

@@ -21,6 +21,8 @@ from inspector.model import Defect, Verdict
 from inspector.publish import registers
 from inspector.publish.wire_fields import WordOrder
 
+pytestmark = pytest.mark.xdist_group("structured_text")
+"""Parsing the block takes half a minute: one worker does it once."""
 CALL_S = 0.01
 SOURCE = function_block()
 
