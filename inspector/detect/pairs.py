@@ -24,7 +24,7 @@ from inspector.native import out
 from inspector.optics import Calibration
 
 LARGEST_RADIUS_MM = 12.0
-"""No candidate is larger: 1.6 times the largest seed of the thesis. Specks far apart pair by chance the sooner."""
+"""No candidate is larger: three times the largest seed of the thesis."""
 BEND_SHARE, BEND_PX = 0.12, 1.5
 """First sieve: how far, as a share of the distance and in pixels, a mirror spot may lie beside the direction."""
 MODEL_SHARE = 0.003
@@ -32,7 +32,7 @@ MODEL_SHARE = 0.003
 SUNK_SHARE, LEAST_SHARE = 0.3, 0.0
 """The share of seeds that are sunk in the paint, and how high their centre is at the least, over the radius."""
 USUAL_RADIUS_MM, RADIUS_SCATTER = 0.7, 1.1
-"""Seeds are so large, log-normally: 0.2 to 2.5 mm within one scatter and a bit (thesis, chapter 3)."""
+"""Seeds are so large, log-normally: from 0.2 to 2.1 mm within one scatter."""
 CHANCE_RATIO_SIGMA = 1.2
 """Scatter of the log brightness ratio of two spots that have nothing to do with each other."""
 LEAST_ODDS = 2.0
@@ -40,7 +40,7 @@ LEAST_ODDS = 2.0
 FEW = 4
 """Chance is reckoned with as many spots in the frame that are no seed's, or with those left over if they are more."""
 WORTH = 9.0
-"""Cost of leaving two spots alone that might be a pair at even odds less LEAST_ODDS."""
+"""What leaving two spots alone costs: a couple whose log odds are LEAST_ODDS costs the same."""
 RATIO_SIGMA = 0.35
 """Scatter of the log brightness ratio of true pairs about Fresnel's beside the fluxes' own: the paint's index."""
 SIZE_SIGMA = 0.4
