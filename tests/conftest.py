@@ -100,6 +100,22 @@ def gige_camera(compiled_peer: Any, frames_folder: Path, wait_until: Any, tmp_pa
         yield start
 
 
+@pytest.fixture
+def booted(peer: Callable[[str, str], str], tmp_path: Path) -> Iterator[Any]:
+    """A machine with a real systemd, still off; see support/booted.py. Skipped by name where none can be had."""
+    import booted
+
+    peer("systemd-nspawn", "systemd-container")
+    if os.geteuid() != 0:
+        pytest.skip(f"{PEER_MISSING}: root, who alone boots a container (sudo)")
+    try:
+        machine = booted.Booted(tmp_path)
+    except booted.CannotBoot as error:
+        pytest.skip(f"no container here: {error}")
+    with contextlib.closing(machine):
+        yield machine
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
     """Where REQUIRE_PEERS is set (CI), a test whose foreign peer is missing has failed."""
