@@ -276,11 +276,19 @@ def lamp_direction(camera: optics.Camera, alpha_deg: float, azimuth_deg: float |
 
 def load(path: Path) -> CalibrationFile:
     """The file as written, residuals and all. Raises CalibrationError with every problem at once."""
-    document = yaml_document.read(path)
+    return _entry(yaml_document.read(path))
+
+
+def parse(text: str, source: str) -> optics.Calibration:
+    """The geometry in a calibration file's text; ``source`` names it in problems. Raises CalibrationError."""
+    return _entry(yaml_document.parse(text, source)).to_calibration()
+
+
+def _entry(document: yaml_document.Document) -> CalibrationFile:
     entry, problems = yaml_document.validate(document, CalibrationFile)
     if entry is None or problems:
         lines = "\n".join(map(str, problems))
-        raise CalibrationError(f"{path} is not a calibration file, version 1:\n{lines}")
+        raise CalibrationError(f"{document.source} is not a calibration file, version 1:\n{lines}")
     return entry
 
 

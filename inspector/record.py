@@ -1,22 +1,23 @@
-"""What `inspector record` does: frames taken with everything read back, kept as a session that the replay camera shows.
+"""What `inspector record` does: frames taken with everything read back, inspected, and kept as a session.
 
-Each frame is a lossless PNG, whole on the disk before its line is in the index (:mod:`firmware_bridge.wire.session`).
+The replay camera shows such a session, and `inspector replay` inspects it again: it holds the settings too.
 """
 
 from __future__ import annotations
 
-import os
+from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import typer
 
-from firmware_bridge import factory, whole_file
-from firmware_bridge.wire import session
-from inspector import bench
+from firmware_bridge import factory
+from firmware_bridge.wire.session import Recorded
+from inspector import bench, settings_version
+from inspector.archive.session_frames import Inspected, Kept
+from inspector.archive.session_writer import SessionWriter
 from inspector.bench import Bench, Build, NotPossible
-from inspector.model import Frame
-from inspector.settings import configuration_hash
+from inspector.calibration_file import CalibrationError
+from inspector.stages import inspection_of
 
 
 def run(config: Path, output: Path, *, frames: int, settle_s: float, build: Build = factory.build) -> int:
@@ -25,41 +26,44 @@ def run(config: Path, output: Path, *, frames: int, settle_s: float, build: Buil
     def work(station: Bench) -> int:
         settings = station.settings
         lamp_v, exposure_us = settings.lamp.volts(settings.recipe.lamp_percent), settings.recipe.exposure_us
-        index = _begin(output, station)
+        writer, version = _begin(output, station)
+        try:
+            inspect = inspection_of(settings)
+        except CalibrationError as error:
+            raise NotPossible(str(error)) from error
         station.warm_up(lamp_v)
         for number in range(1, frames + 1):
             frame = station.frame(exposure_us, lamp_v)
-            _keep(index, f"{number:06d}.png", frame, exposure_us, lamp_v)
-        typer.echo(f"{frames} frames in {output}; show them with camera: {{kind: replay, paths: [{output}]}}")
+            result = inspect(replace(frame, image=version.without_patch(frame.image)))
+            recorded = Recorded(
+                f"{number:06d}.png",
+                frame.frame_id,
+                frame.taken_at_s,
+                frame.exposure_us,
+                exposure_us,
+                frame.lamp_v,
+                lamp_v,
+                Inspected(version.name, Kept.CAMPAIGN, result).as_dict(),
+            )
+            writer.keep(frame.image, recorded)
+        shown = f"show them with camera: {{kind: replay, paths: [{output}]}}"
+        typer.echo(f"{frames} frames in {output}; {shown}, inspect them again with: inspector replay {output}")
         return bench.EXIT_DONE
 
     return bench.run(config, work, settle_s=settle_s, build=build)
 
 
-def _begin(output: Path, station: Bench) -> Path:
-    """A new folder with the index's first line. Raises NotPossible, OSError."""
+def _begin(output: Path, station: Bench) -> tuple[SessionWriter, settings_version.SettingsVersion]:
+    """A new folder with the index's first line, and the settings. Raises NotPossible, OSError."""
+    version = settings_version.of(station.settings)
+    about = {
+        "station": station.settings.station,
+        "recipe": station.settings.recipe.name,
+        "configuration_hash": version.name,
+    }
     try:
-        output.mkdir(parents=True)
+        writer = SessionWriter(output, about)
     except FileExistsError:
         raise NotPossible(f"{output} is there already: name a new folder, so that no frame is lost") from None
-    settings = station.settings
-    about = {
-        "station": settings.station,
-        "recipe": settings.recipe.name,
-        "configuration_hash": f"{configuration_hash(settings):08x}",
-    }
-    index = output / session.INDEX
-    whole_file.write(index, session.first_line(about))
-    return index
-
-
-def _keep(index: Path, name: str, frame: Frame, exposure_set_us: float, lamp_set_v: float) -> None:
-    """The image whole on the disk, then its line. Raises OSError."""
-    whole_file.write(index.with_name(name), cv2.imencode(".png", frame.image)[1].tobytes())
-    recorded = session.Recorded(
-        name, frame.frame_id, frame.taken_at_s, frame.exposure_us, exposure_set_us, frame.lamp_v, lamp_set_v
-    )
-    with index.open("a", encoding="utf-8") as file:
-        file.write(session.line(recorded))
-        file.flush()
-        os.fsync(file.fileno())
+    writer.version(version.name, version.as_json())
+    return writer, version

@@ -1,14 +1,14 @@
 """The index of a recorded session: a JSON line about the station, then one for each frame, beside the images.
 
 Written line by line, so that a power cut can cost the last line only; a reader passes over a last line that is cut
-short. What a line holds beyond :class:`Recorded` is for people and later versions, and is passed over too.
+short. What a line says besides how the frame was taken, such as what was found in it, is handed on as it is.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 
 INDEX = "session.jsonl"
 """Name of the index in a session's folder."""
@@ -33,6 +33,8 @@ class Recorded:
     exposure_set_us: float
     lamp_v: float | None
     lamp_set_v: float
+    beyond: Mapping[str, object] = field(default_factory=dict)
+    """What else the line says, of no concern to a camera."""
 
 
 def first_line(about: Mapping[str, object]) -> str:
@@ -42,24 +44,32 @@ def first_line(about: Mapping[str, object]) -> str:
 
 def line(recorded: Recorded) -> str:
     """One frame's line."""
-    return json.dumps(asdict(recorded), ensure_ascii=False) + "\n"
+    said = {name: value for name, value in asdict(recorded).items() if name != "beyond"}
+    return json.dumps({**recorded.beyond, **said}, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def parse(text: str) -> tuple[Recorded, ...]:
     """The frames of an index, in their order. Raises SessionWrong."""
     whole, _, _ = text.rpartition("\n")  # a last line without its end was cut short
     lines = whole.split("\n")
-    heading = _mapping(1, lines[0])
-    if heading.get("session") != VERSION:
-        raise SessionWrong(
-            f"line 1: session is {heading.get('session')!r}, not {VERSION}: take a program that knows it"
-        )
+    heading(text)
     return tuple(_recorded(number, text) for number, text in enumerate(lines[1:], 2))
+
+
+def heading(text: str) -> dict[str, object]:
+    """What the first line of an index says of the station. Raises SessionWrong."""
+    said = _mapping(1, text.partition("\n")[0])
+    if said.get("session") != VERSION:
+        raise SessionWrong(f"line 1: session is {said.get('session')!r}, not {VERSION}: take a program that knows it")
+    return said
+
+
+_TAKEN = tuple(field.name for field in fields(Recorded) if field.name != "beyond")
 
 
 def _recorded(number: int, text: str) -> Recorded:
     said = _mapping(number, text)
-    values = {field.name: said.get(field.name) for field in fields(Recorded)}
+    values = {name: said.pop(name, None) for name in _TAKEN}
     file = values["file"]
     if not isinstance(file, str) or not file or "/" in file or file in (".", ".."):
         raise SessionWrong(f"line {number}: file is {file!r}, not a name beside the index: take the line out")
@@ -67,7 +77,7 @@ def _recorded(number: int, text: str) -> Recorded:
         may_miss = name in ("exposure_us", "lamp_v") and value is None
         if name != "file" and not may_miss and (isinstance(value, bool) or not isinstance(value, int | float)):
             raise SessionWrong(f"line {number}: {name} is {value!r}, not a number: take the line out")
-    return Recorded(**values)  # type: ignore[arg-type]  # looked through just now
+    return Recorded(**values, beyond=said)  # type: ignore[arg-type]  # looked through just now
 
 
 def _mapping(number: int, text: str) -> dict[str, object]:

@@ -12,8 +12,13 @@ from typer.testing import CliRunner, Result
 
 from firmware_bridge.simulators.module_server import ModuleServer
 from firmware_bridge.wire import session
+from inspector import imagefile, settings_version
+from inspector.archive import result_json
+from inspector.archive.session_frames import inspected, version_file
 from inspector.cli import app
 from inspector.faults import Fault
+from inspector.model import Frame, Verdict
+from inspector.pipeline import Station, inspect
 
 
 def recorded(station: Any, output: Path, frames: int = 3) -> Result:
@@ -43,6 +48,21 @@ def test_frames_are_kept_as_they_were_taken(station: Any, module: Callable[[], M
         assert (r.exposure_us, r.exposure_set_us) == (1000.0, 1000.0)
         assert r.lamp_v == pytest.approx(r.lamp_set_v, abs=0.05)
     assert not list(output.glob(".*"))
+
+
+def test_a_session_says_what_was_found_and_by_which_settings(
+    station: Any, module: Callable[[], ModuleServer], tmp_path: Path
+) -> None:
+    module()
+    output = tmp_path / "campaign"
+    assert recorded(station, output).exit_code == 0
+    for r in session.parse((output / session.INDEX).read_text()):
+        found = inspected(r)
+        assert found is not None
+        version = settings_version.from_json((output / version_file(found.settings)).read_text())
+        again = inspect(Frame(imagefile.read(output / r.file), r.file), Station(version.calibration, version.recipe))
+        assert result_json.same(again, found.result)
+        assert found.result.verdict is not Verdict.NOT_INSPECTED
 
 
 def test_a_session_is_never_written_over(station: Any, module: Callable[[], ModuleServer], tmp_path: Path) -> None:
