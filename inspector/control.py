@@ -1,4 +1,4 @@
-"""The handshake at work: the server's thread brings what the PLC writes, the cycle's thread what the station does.
+"""The handshake at work: the server's thread brings what is written, the cycle's thread what the station does.
 
 One lock, one state (:class:`~inspector.handshake.Handshake`); whatever changes it shows in the registers before the
 call returns, so that the answer to a write is read with the next request.
@@ -16,12 +16,19 @@ from dataclasses import replace
 
 from firmware_bridge.wire.modbus import IllegalValue
 from inspector import handshake
-from inspector.handshake import Handshake, Order, Stepped
+from inspector.handshake import ControlBlock, Handshake, Order
 from inspector.handshake_table import Action, CommandResult, Step
 from inspector.model import Snapshot
 from inspector.posting import Poster
 from inspector.publish.plc_server import PlcServer
-from inspector.publish.registers import CONTROL_ADDRESS, CONTROL_WORDS, WordOrder, decode_control
+from inspector.publish.registers import (
+    CONTROL_ADDRESS,
+    CONTROL_WORDS,
+    OPERATOR_ADDRESS,
+    WordOrder,
+    decode_control,
+    decode_operator,
+)
 
 log = logging.getLogger(__name__)
 
@@ -30,7 +37,8 @@ PANEL_MARKS = 64
 
 
 class PlcControl:
-    """What the PLC asks of the station, and what it is shown. ``wake`` ends the cycle's wait; called in any thread.
+    """What PLC and operator ask of the station, and what they are shown. ``wake`` ends the cycle's wait; called in any
+    thread.
 
     ``first`` is what the registers show before anything else.
     """
@@ -39,12 +47,14 @@ class PlcControl:
         self._lock = threading.Lock()
         self._live, self._wake, self._clock = first, wake, clock
         self._state = Handshake(shown=first)
-        self._words: tuple[int, ...] = (0,) * CONTROL_WORDS
+        self._operator = Handshake()
+        self._words = dict.fromkeys((CONTROL_ADDRESS, OPERATOR_ADDRESS), (0,) * CONTROL_WORDS)
         self._word_order: WordOrder = "high_first"
         self._server: PlcServer | None = None
         self._poster: Poster | None = None
         self._trigger: Order | None = None
-        self._command: Order | None = None
+        self._commands: deque[Order] = deque()
+        self._obeyed: Order | None = None
         self._marks: deque[Order] = deque(maxlen=PANEL_MARKS)
         self._clear = False
 
@@ -62,20 +72,20 @@ class PlcControl:
             self._show()
 
     def write(self, address: int, words: Sequence[int]) -> None:
-        """The PLC writes into its control block. Raises IllegalValue if it means nothing; then nothing is written."""
-        at = address - CONTROL_ADDRESS
+        """PLC or operator writes into its block. Raises IllegalValue if it means nothing; then nothing is written."""
+        by_operator = address >= OPERATOR_ADDRESS
+        first = OPERATOR_ADDRESS if by_operator else CONTROL_ADDRESS
         with self._lock:
-            written = (*self._words[:at], *words, *self._words[at + len(words) :])
-            if written == self._words:
+            before, at = self._words[first], address - first
+            written = (*before[:at], *words, *before[at + len(words) :])
+            if written == before:
                 return
             try:
-                block = decode_control(written, self._word_order)
+                block = (decode_operator if by_operator else decode_control)(written, self._word_order)
             except ValueError as error:
                 raise IllegalValue from error
-            self._words = written
-            stalled = self._server is not None and self._server.stalled
-            state = handshake.ready(self._state, self._state.able and not stalled)
-            self._take(handshake.written(state, block, self._clock()))
+            self._words[first] = written
+            self._take(block, by_operator)
             self._show()
         self._wake()
 
@@ -124,7 +134,7 @@ class PlcControl:
     @property
     def asks(self) -> bool:
         """Whether :meth:`take_command`, :meth:`take_clear` or :meth:`take_panel_marks` has something."""
-        return self._command is not None or self._clear or bool(self._marks)
+        return bool(self._commands) or self._clear or bool(self._marks)
 
     def cycle_ended(self, able: bool) -> None:
         """The cycle that a TRIGGER began, if one did, has brought its result; ``able`` as for :meth:`ready`."""
@@ -139,15 +149,19 @@ class PlcControl:
             self._step(handshake.cycle_lost(handshake.ready(self._state, False)))
 
     def take_command(self) -> Order | None:
-        """The command to be carried out, once; it is then answered by :meth:`command_ended`."""
+        """The command to be carried out, once; :meth:`command_ended` answers it before the next is taken."""
         with self._lock:
-            command, self._command = self._command, None
-            return command
+            self._obeyed = self._commands.popleft() if self._commands else None
+            return self._obeyed
 
     def command_ended(self, outcome: CommandResult) -> None:
-        """How the command ended."""
+        """How the command taken last ended; whose it was is told."""
         with self._lock:
-            self._step(handshake.command_ended(self._state, outcome))
+            if self._obeyed is not None and self._obeyed.by_operator:
+                self._operator = handshake.command_ended(self._operator, outcome)
+                self._show()
+            else:
+                self._step(handshake.command_ended(self._state, outcome))
 
     @property
     def untaken(self) -> int:
@@ -162,7 +176,7 @@ class PlcControl:
             self._step(handshake.discarded(self._state))
 
     def take_clear(self) -> bool:
-        """Whether CLEAR_FAULT has risen since this was asked last."""
+        """Whether a CLEAR_FAULT has risen since this was asked last."""
         with self._lock:
             clear, self._clear = self._clear, False
             return clear
@@ -174,14 +188,20 @@ class PlcControl:
             self._marks.clear()
             return marks
 
-    def _take(self, stepped: Stepped) -> None:
-        self._state, orders = stepped
+    def _take(self, block: ControlBlock, by_operator: bool) -> None:
+        """What was written is a step of its writer's handshake; what follows is kept for the cycle."""
+        if by_operator:
+            self._operator, orders = handshake.written(self._operator, block, self._clock())
+        else:
+            stalled = self._server is not None and self._server.stalled
+            state = handshake.ready(self._state, self._state.able and not stalled)
+            self._state, orders = handshake.written(state, block, self._clock())
         for order in orders:
             match order.action:
                 case Action.BEGIN_CYCLE:
                     self._trigger = order
                 case Action.RUN_COMMAND:
-                    self._command = order
+                    self._commands.append(replace(order, by_operator=by_operator))
                 case Action.CLEAR_FAULTS:
                     self._clear = True
                 case _:
@@ -198,7 +218,8 @@ class PlcControl:
         if self._server is None:
             return
         shown = handshake.view(self._state, self._live)
-        shown = replace(shown, plc=replace(shown.plc, control=self._words))
+        operator = handshake.operator_side(self._operator, self._words[OPERATOR_ADDRESS])
+        shown = replace(shown, plc=replace(shown.plc, control=self._words[CONTROL_ADDRESS]), operator=operator)
         if beat:
             self._server.publish(shown)
         else:

@@ -157,7 +157,6 @@ class Daemon:
         """Wait, alive, until a cycle is to begin; False if something else is to be done first."""
         self._beat()
         while not self._interrupted:
-            self._control.ready(self._awaits_plc)
             look_s = min(self._trigger.look_s, self._look_at_panels())
             due_s = min(self._due_s(), ends_s)
             now_s = time.monotonic()
@@ -165,6 +164,8 @@ class Daemon:
                 return now_s < ends_s and not self._interrupted
             if now_s >= self._spoken_s + self._silence_s and due_s - now_s > BEAT_S:
                 self._keep_ready()
+            # Last: a recipe changed by people must not take back the TRIGGER_READY that the PLC may just have read.
+            self._control.ready(self._awaits_plc)
             self._signals.wait(min(due_s - time.monotonic(), BEAT_S, look_s))
             self._beat()
         return False

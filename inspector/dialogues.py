@@ -212,7 +212,8 @@ DIALOGUES = (
     Dialogue(
         "Another recipe",
         "Set command and argument, raise EXECUTE, wait for COMMAND_COMPLETED or COMMAND_FAILED, drop EXECUTE. The old"
-        " recipe stays until the new one has proved whole; while it changes, TRIGGER_READY is off.",
+        " recipe stays until the new one has proved whole. A TRIGGER that rises meanwhile is taken, and its panel"
+        " inspected by the new one; TRIGGER_READY is off as long as the lamp must follow to another level.",
         (_recipe(2), Obeys(), Writes()),
     ),
     Dialogue(

@@ -7,6 +7,9 @@ Results. With buffering the result shown stays until the PLC acknowledges it, by
 a FIFO; a result that finds the FIFO full is lost, counted and flagged, never put in another's place. Without buffering
 the newest is shown at once. A buffer that holds results goes on buffering until the PLC has taken them, whatever
 BUFFER_RESULTS says, so that a PLC that starts again with zeros loses none.
+
+People. The operator's page has a block of its own, and behind it a second :class:`Handshake` of which only commands and
+CLEAR_FAULT are asked: neither side can drop, raise or overwrite what the other has written.
 """
 
 from __future__ import annotations
@@ -15,7 +18,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from inspector.handshake_table import TABLE, Action, Answer, CommandResult, Control, Event, Step
+from inspector.handshake_table import (
+    OPERATOR_ANSWER,
+    TABLE,
+    Action,
+    Answer,
+    CommandResult,
+    Control,
+    Event,
+    Step,
+)
 from inspector.model import PlcSide, Reason, Snapshot, State, Verdict
 
 FIFO_RESULTS = 8
@@ -36,7 +48,8 @@ class ControlBlock:
 @dataclass(frozen=True, slots=True)
 class Order:
     """An action that somebody else carries out, one of :data:`ORDERS`, and when it was asked for on the caller's
-    clock. ``panel_id`` 0: the PLC gave none. ``missed``: how often TRIGGER had been missed until then."""
+    clock. ``panel_id`` 0: the PLC gave none. ``missed``: how often TRIGGER had been missed until then. ``by_operator``:
+    of the operator's page."""
 
     action: Action
     asked_s: float
@@ -44,6 +57,12 @@ class Order:
     command: int = 0
     argument: int = 0
     missed: int = 0
+    by_operator: bool = False
+
+    @property
+    def asker(self) -> str:
+        """Whose order it is, in words for the log."""
+        return "Operator" if self.by_operator else "PLC"
 
 
 ORDERS = (Action.BEGIN_CYCLE, Action.CLEAR_FAULTS, Action.RUN_COMMAND, Action.START_PANEL, Action.END_PANEL)
@@ -188,6 +207,11 @@ def station_view(state: Handshake, live: Snapshot) -> Snapshot:
         overruns=live.overruns + state.overruns,
         plc=PlcSide(int(_answers(state)), len(state.waiting), state.command_echo, int(state.outcome)),
     )
+
+
+def operator_side(state: Handshake, words: tuple[int, ...]) -> PlcSide:
+    """What the operator's block shows: ``state`` is a handshake of its own, of which only commands are asked."""
+    return PlcSide(int(_answers(state) & OPERATOR_ANSWER), 0, state.command_echo, int(state.outcome), words)
 
 
 def _fired(state: Handshake, event: Event | None, now_s: float) -> Stepped:

@@ -10,7 +10,7 @@ from inspector.faults import Fault
 from inspector.handshake import FIFO_RESULTS
 from inspector.handshake_table import TABLE, Action, Answer, CommandResult, Control, Event, Step
 from inspector.model import State, Verdict
-from inspector.publish.registers import CONTROL_ADDRESS, RESULT_WORDS
+from inspector.publish.registers import CONTROL_ADDRESS, OPERATOR_ADDRESS, RESULT_WORDS
 
 WORDS: dict[str, type[enum.IntEnum | enum.IntFlag]] = {
     "handshake": Answer,
@@ -28,6 +28,7 @@ def as_markdown() -> str:
     return _PAGE.format(
         words=RESULT_WORDS,
         control=CONTROL_ADDRESS,
+        operator=OPERATOR_ADDRESS,
         fifo=FIFO_RESULTS,
         dialogues="\n\n".join(_dialogue(dialogue) for dialogue in DIALOGUES),
         table=_table(("at", "when", "then", "what is done"), _rows()),
@@ -127,6 +128,10 @@ every result once, and gives commands.
 9. The station begins with zeros in the control block. A TRIGGER that is still high then counts as a new one, and is
    missed until the station is ready.
 10. The station must show a new `heartbeat` within two seconds, whatever it was asked.
+11. People at the operator's page change the recipe too, clear faults and reset the statistics, by a block of their own
+   (from {operator}) that no PLC writes. Their CLEAR_FAULT leaves TRIGGER_MISSED and OVERRUN to the PLC, and what they
+   ask for shows in none of the PLC's answers: see `recipe_id`. A PLC that decides the recipe alone sets
+   `page.allow_commands: false`.
 
 ## Dialogues
 What the PLC reads is shown as far as it has changed; in the first line, what is not shown is 0. Numbers are as on the

@@ -66,6 +66,12 @@ ANSWER_MEANINGS = {
 }
 
 
+OPERATOR_CONTROL = Control.CLEAR_FAULT | Control.EXECUTE
+"""What people at the operator's page may ask for, beside a PLC: nothing that belongs to a panel or its result."""
+OPERATOR_ANSWER = Answer.COMMAND_EXECUTING | Answer.COMMAND_COMPLETED | Answer.COMMAND_FAILED
+"""What they are answered."""
+
+
 class Command(enum.IntEnum):
     """What the PLC may have done by `command` and EXECUTE."""
 
@@ -87,6 +93,9 @@ class CommandResult(enum.IntEnum):
     INTERNAL = 6
 
 
+OPERATOR_COMMANDS = (Command.CHANGE_RECIPE, Command.RESET_STATISTICS)
+"""Those that people may give too: a result that the PLC has not taken is for the PLC to forget."""
+
 COMMAND_MEANINGS = {
     Command.NONE: "Nothing: EXECUTE fails with UNKNOWN_COMMAND",
     Command.CHANGE_RECIPE: "Inspect by the recipe whose id is in command_argument; the old one stays if that fails",
@@ -98,7 +107,7 @@ RESULT_MEANINGS = {
     CommandResult.DONE: "Carried out",
     CommandResult.UNKNOWN_COMMAND: "There is no such command",
     CommandResult.BUSY: "EXECUTE rose again before the command before had ended; that one is carried out",
-    CommandResult.NOT_AVAILABLE: "This station has nothing to do it with (no recipe folder, no statistics)",
+    CommandResult.NOT_AVAILABLE: "The station has nothing to do it with (recipes, statistics), or only the PLC may ask",
     CommandResult.REFUSED: "The argument is wrong or the recipe is not whole; the station's log names the place",
     CommandResult.INTERNAL: "A fault in the station's program; see its log",
 }

@@ -203,7 +203,7 @@ class PlcSide:
     command_echo: int = 0
     command_result: int = 0
     control: tuple[int, ...] = ()
-    """The control block's words as the PLC has written them; those missing are 0."""
+    """The block's words as they were written; those missing are 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,6 +301,8 @@ class Snapshot:
     configuration_hash: int = 0
     recipe_hash: int = 0
     plc: PlcSide = PlcSide()
+    operator: PlcSide = PlcSide()
+    """The same of the operator's block, which knows commands alone."""
     simulated: bool = False
     settings_refused: bool = False
     statistics: Statistics | None = None

@@ -1,4 +1,4 @@
-"""The PLC's commands: which there are, and how an attempt at one ended."""
+"""Commands of the PLC's and of the operator's page: which there are, and how an attempt at one ended."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 
 from inspector.calibration_file import CalibrationError
 from inspector.handshake import Order
-from inspector.handshake_table import Command, CommandResult
+from inspector.handshake_table import OPERATOR_COMMANDS, RESULT_MEANINGS, Command, CommandResult
 from inspector.settings import SettingsError
 
 log = logging.getLogger(__name__)
@@ -23,25 +23,27 @@ def carried_out(order: Order, handlers: Handlers) -> CommandResult:
     except ValueError:
         command = Command.NONE
     if command is Command.NONE:
-        log.error("PLC command %d: there is none; known: %s", order.command, ", ".join(map(_named, handlers)))
+        known = ", ".join(map(_named, handlers))
+        log.error("%s command %d: there is none; known: %s", order.asker, order.command, known)
         return CommandResult.UNKNOWN_COMMAND
+    what = f"{order.asker} command {_named(command)}, argument {order.argument}"
     handler = handlers.get(command)
-    if handler is None:
-        log.error("PLC command %s: this station has nothing to do it with", _named(command))
+    if handler is None or (order.by_operator and command not in OPERATOR_COMMANDS):
+        log.error("%s refused: %s", what, RESULT_MEANINGS[CommandResult.NOT_AVAILABLE])
         return CommandResult.NOT_AVAILABLE
     try:
         handler(order.argument)
     except SettingsError as error:
         for problem in error.problems:
-            log.error("PLC command %s, argument %d refused: %s", _named(command), order.argument, problem)
+            log.error("%s refused: %s", what, problem)
         return CommandResult.REFUSED
     except (CalibrationError, OSError) as error:
-        log.error("PLC command %s, argument %d refused: %s", _named(command), order.argument, error)
+        log.error("%s refused: %s", what, error)
         return CommandResult.REFUSED
     except Exception:
-        log.exception("PLC command %s, argument %d fails", _named(command), order.argument)
+        log.exception("%s fails", what)
         return CommandResult.INTERNAL
-    log.info("PLC command %s, argument %d carried out", _named(command), order.argument)
+    log.info("%s carried out", what)
     return CommandResult.DONE
 
 

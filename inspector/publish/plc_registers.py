@@ -1,4 +1,4 @@
-"""The registers as the PLC server serves them: the image, swapped whole, and the control block that clients write."""
+"""The registers as the PLC server serves them: the image, swapped whole, and the blocks that clients write."""
 
 from __future__ import annotations
 
@@ -7,19 +7,18 @@ import struct
 from collections.abc import Callable, Sequence
 
 from firmware_bridge.wire.modbus import DeviceFailure, IllegalAddress, ModbusError, Table
-from inspector.publish.registers import CONTROL_ADDRESS, CONTROL_WORDS, Image
+from inspector.publish.registers import CONTROL_WORDS, WRITTEN, Image
 
 log = logging.getLogger(__name__)
 
 OnControl = Callable[[int, Sequence[int]], None]
-"""Told of each write into the control block: its first address and its words. It shows what it took, before it returns,
-or refuses by raising a ModbusError. Called in any thread of the server."""
+"""Told of each write into the control block or the operator's: its first address and its words. It shows what it took,
+before it returns, or refuses by raising a ModbusError. Called in any thread of the server."""
 
 
 class ServedRegisters:
-    """The image as a Modbus data model: holding registers mirror input registers; the control block can be written.
-
-    Without ``on_control`` nothing can.
+    """The image as a Modbus data model: holding registers mirror input registers; the blocks of control words can be
+    written. Without ``on_control`` nothing can.
     """
 
     def __init__(self, on_control: OnControl | None = None) -> None:
@@ -40,10 +39,10 @@ class ServedRegisters:
         raise IllegalAddress
 
     def write_registers(self, address: int, data: bytes) -> None:
-        """Into the control block, whole."""
+        """Into one block, whole."""
         words = struct.unpack(f">{len(data) // 2}H", data)
-        last = CONTROL_ADDRESS + CONTROL_WORDS - len(words)
-        if self._on_control is None or not CONTROL_ADDRESS <= address <= last:
+        room = CONTROL_WORDS - len(words)
+        if self._on_control is None or not any(first <= address <= first + room for first in WRITTEN):
             raise IllegalAddress
         try:
             self._on_control(address, words)

@@ -1,8 +1,9 @@
 """The register map: one table from which the server's image, the decoder, the lists and the manual's page come.
 
 Addresses are zero-based, as on the wire. The *result block* is one read of 125 registers at address 0; the *control
-block*, which the PLC writes, is at 500; the *defect list* begins at 1000, the *statistics* at 2000. All are packed from
-one :class:`~inspector.model.Snapshot` into one :class:`Image`, which is swapped whole, so no reader can see half of it.
+block*, which the PLC writes, is at 500; the *operator's block*, which the page for people writes, at 600; the *defect
+list* begins at 1000, the *statistics* at 2000. All are packed from one :class:`~inspector.model.Snapshot` into one
+:class:`Image`, which is swapped whole, so no reader can see half of it.
 
 How numbers lie in registers: :mod:`inspector.publish.wire_fields`. A measured value that does not fit its register sets
 the status bit SATURATED_VALUE.
@@ -18,8 +19,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from inspector.handshake import ControlBlock
-from inspector.handshake_table import Control
-from inspector.model import Defect, Snapshot, State, Verdict
+from inspector.handshake_table import OPERATOR_CONTROL, Control
+from inspector.model import Defect, PlcSide, Snapshot, State, Verdict
 from inspector.publish.statistics_registers import STATISTICS_ADDRESS, STATISTICS_FIELDS, Shown, encode_statistics
 from inspector.publish.wire_fields import EXACT_UNITS, TYPES, Field, Layout, Number, SourceT
 from inspector.publish.wire_fields import WordOrder as WordOrder
@@ -29,6 +30,10 @@ MAP_VERSION = 1
 
 RESULT_ADDRESS, RESULT_WORDS = 0, 125
 CONTROL_ADDRESS, CONTROL_WORDS = 500, 16
+OPERATOR_ADDRESS, OPERATOR_WORDS = 600, 32
+"""The first :data:`CONTROL_WORDS` of the operator's block are written, the others answer."""
+WRITTEN = (CONTROL_ADDRESS, OPERATOR_ADDRESS)
+"""Where each block of :data:`CONTROL_WORDS` begins that can be written."""
 LIST_ADDRESS = 1000
 BLOCK_DEFECTS = 12
 LIST_DEFECTS = 64
@@ -174,6 +179,13 @@ CONTROL_FIELDS = (
     _C(6, "command_argument", "u32", "id", "Its argument, as a recipe's id", lambda c: c.argument),
 )  # fmt: skip
 
+_O = Field[PlcSide]
+_OPERATOR_ANSWERS = (
+    _O(16, "operator_handshake", "u16", "bits", "COMMAND bits alone, see Handshake bits", lambda o: o.answers),
+    _O(17, "operator_command_echo", "u16", "code", "Command begun last", lambda o: o.command_echo),
+    _O(18, "operator_command_result", "u16", "code", "How it ended, see Commands", lambda o: o.command_result),
+)  # fmt: skip
+
 _D = Field[Defect]
 DEFECT_FIELDS = (
     _D(0, "x_mm", "i16", "mm", "x on the panel", lambda d: d.x_mm, scale=0.01),
@@ -220,8 +232,21 @@ _CONTROL_RESERVED = set(range(CONTROL_WORDS)) - {
     field.address + i for field in CONTROL_FIELDS for i in range(TYPES[field.type].words)
 }
 CONTROL_REGISTERS = tuple(_row(field, CONTROL_ADDRESS, field.name, field.meaning, "RW") for field in CONTROL_FIELDS)
+OPERATOR_REGISTERS = (
+    *(
+        replace(
+            row,
+            name=f"operator_{row.name.removeprefix('command_')}",
+            address=row.address + OPERATOR_ADDRESS - CONTROL_ADDRESS,
+        )
+        for row in CONTROL_REGISTERS
+        if row.name in ("control", "command", "command_argument")
+    ),
+    *(_row(field, OPERATOR_ADDRESS, field.name, field.meaning) for field in _OPERATOR_ANSWERS),
+)
+"""Commands lie where the control block has them; what is left out there is reserved here."""
 STATISTICS_REGISTERS = tuple(_row(field, STATISTICS_ADDRESS, field.name, field.meaning) for field in STATISTICS_FIELDS)
-REGISTERS = RESULT_REGISTERS + CONTROL_REGISTERS + LIST_REGISTERS + STATISTICS_REGISTERS
+REGISTERS = RESULT_REGISTERS + CONTROL_REGISTERS + OPERATOR_REGISTERS + LIST_REGISTERS + STATISTICS_REGISTERS
 """Every register there is, by address. Words between them inside an area are reserved and read 0."""
 _ADDRESSES = [row.address for row in REGISTERS]
 
@@ -236,6 +261,7 @@ class Image:
 _RESULT_LAYOUT = Layout(RESULT_FIELDS, RESULT_WORDS)
 _LIST_LAYOUT = Layout(LIST_FIELDS, LIST_WORDS)
 _DEFECT_LAYOUT = Layout(DEFECT_FIELDS, DEFECT_WORDS)
+_OPERATOR_LAYOUT = Layout(_OPERATOR_ANSWERS, OPERATOR_WORDS)
 
 
 def _rank(defect: Defect) -> float:
@@ -255,11 +281,17 @@ def encode_image(snapshot: Snapshot, now_s: float, heartbeat: int, word_order: W
     if overflow:
         source = replace(source, saturated=True)
         block = _RESULT_LAYOUT.pack(source, word_order, overflow, largest, FIRST_BLOCK_DEFECT)
-    written = snapshot.plc.control
-    control = struct.pack(f">{CONTROL_WORDS}H", *written, *[0] * (CONTROL_WORDS - len(written)))
+    control = (CONTROL_ADDRESS, _as_written(snapshot.plc))
+    asked = _OPERATOR_LAYOUT.pack(snapshot.operator, word_order, overflow, _as_written(snapshot.operator))
+    operator = (OPERATOR_ADDRESS, asked)
     shown = Shown(snapshot.statistics, snapshot.statistics_sequence, now_s)
     statistics = (STATISTICS_ADDRESS, encode_statistics(shown, word_order))
-    return Image(((RESULT_ADDRESS, block), (LIST_ADDRESS, listed), (CONTROL_ADDRESS, control), statistics))
+    return Image(((RESULT_ADDRESS, block), (LIST_ADDRESS, listed), control, operator, statistics))
+
+
+def _as_written(side: PlcSide) -> bytes:
+    """A block as it was written, read back."""
+    return struct.pack(f">{CONTROL_WORDS}H", *side.control, *[0] * (CONTROL_WORDS - len(side.control)))
 
 
 def encode(snapshot: Snapshot, now_s: float, heartbeat: int, word_order: WordOrder = "high_first") -> bytes:
@@ -275,6 +307,15 @@ def decode_control(words: Sequence[int], word_order: WordOrder = "high_first") -
     numbers = (int(_value(row, words[at : at + row.words], word_order) or 0) for row, at in rows)
     bits, sequence, panel_id, command, argument = numbers
     return ControlBlock(Control(bits), sequence, panel_id, command, argument)
+
+
+def decode_operator(words: Sequence[int], word_order: WordOrder = "high_first") -> ControlBlock:
+    """The written words of the operator's block, as :func:`decode_control`; what belongs to panels and results means
+    nothing there."""
+    block = decode_control(words, word_order)
+    if block.bits & ~OPERATOR_CONTROL or block.acknowledged_sequence or block.panel_id:
+        raise ValueError("the operator's block has commands and CLEAR_FAULT alone")
+    return block
 
 
 def decode(

@@ -14,6 +14,7 @@ from inspector.handshake_table import (
     ANSWER_MEANINGS,
     COMMAND_MEANINGS,
     CONTROL_MEANINGS,
+    OPERATOR_COMMANDS,
     RESULT_MEANINGS,
     Answer,
     Command,
@@ -26,6 +27,7 @@ from inspector.publish import registers
 from inspector.publish.registers import (
     CONTROL_REGISTERS,
     LIST_REGISTERS,
+    OPERATOR_REGISTERS,
     REGISTERS,
     RESULT_REGISTERS,
     STATISTICS_REGISTERS,
@@ -126,6 +128,9 @@ def as_markdown() -> str:
         states=_markdown_table(("code", "name", "meaning"), ((s.value, s.name, STATE_MEANINGS[s]) for s in State)),
         status=_markdown_table(("bit", "name", "meaning"), ((_bit(b), b.name, STATUS_MEANINGS[b]) for b in Status)),
         answers=_markdown_table(("bit", "name", "meaning"), ((_bit(b), b.name, ANSWER_MEANINGS[b]) for b in Answer)),
+        operator_address=registers.OPERATOR_ADDRESS,
+        operator_commands=" and ".join(command.name for command in OPERATOR_COMMANDS),
+        operator=_markdown_table(COLUMNS, (tuple(row.values()) for row in as_rows(OPERATOR_REGISTERS))),
         asked=_markdown_table(("bit", "name", "meaning"), ((_bit(b), b.name, CONTROL_MEANINGS[b]) for b in Control)),
         commands=_markdown_table(
             ("code", "name", "meaning"), ((c.value, c.name, COMMAND_MEANINGS[c]) for c in Command)
@@ -242,9 +247,19 @@ counts as the highest.
 ## Control block, address {control_address}
 What the PLC writes, by functions 6, 16, 22 and 23: {control_words} registers, all 0 when the station starts, read back
 as written. Reserved bits and words must be 0. A PLC that only polls need not write anything: with zeros the station
-inspects by its own triggers. One client should write, and no more: the block has no owner.
+inspects by its own triggers. One client should write, and no more: the block has no owner. People have a block of their
+own, at {operator_address}.
 
 {control}
+
+## Operator's block, address {operator_address}
+What the operator's page (`inspector page`) writes: its first {control_words} registers, which lie as the control
+block's do, with the bits CLEAR_FAULT and EXECUTE and the commands {operator_commands}; the answers follow.
+The two blocks know nothing of each other: a PLC that writes its whole block each cycle neither drops nor repeats what
+people ask for, and these can neither trigger nor take a result. Commands of both are carried out one after the other,
+in the order in which they came; `recipe_id` says which recipe a result was found by. A PLC never writes here.
+
+{operator}
 
 ## Control bits
 {asked}

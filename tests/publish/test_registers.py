@@ -72,6 +72,8 @@ def test_the_map_stays_where_integrators_have_it() -> None:
     assert [at[name] for name in ("handshake", "results_waiting", "command_echo", "command_result")] == [19, 46, 47, 48]
     assert [at[name] for name in ("control", "acknowledged_sequence", "control_panel_id")] == [500, 501, 502]
     assert [at[name] for name in ("command", "command_argument")] == [504, 506]
+    assert [at[name] for name in ("operator_control", "operator_command", "operator_argument")] == [600, 604, 606]
+    assert [at[f"operator_{name}"] for name in ("handshake", "command_echo", "command_result")] == [616, 617, 618]
     assert [at[name] for name in ("list_sequence", "list_defect_1_x_mm", "list_sequence_end")] == [1000, 1010, 1330]
 
 
