@@ -19,16 +19,16 @@ from firmware_bridge.errors import BridgeError, NoTrigger
 from inspector import calibration_file, line_history, pace, recipe_choice, snapshots
 from inspector.acquire.trigger import Trigger
 from inspector.control import PlcControl
-from inspector.cycle import Cycle, described, longest_silence_s
+from inspector.cycle import Cycle, described
 from inspector.faults import Fault
 from inspector.handshake_table import Command
 from inspector.lifecycle import Event, after
 from inspector.model import Snapshot
+from inspector.outlets import Outlets
 from inspector.panel_work import PanelWork
 from inspector.plc_commands import carried_out
-from inspector.posting import Poster
 from inspector.publish import console
-from inspector.publish.plc_server import PlcServer, PlcServerError
+from inspector.publish.plc_server import PlcServerError
 from inspector.publish.systemd import Notifier
 from inspector.sequence_file import SequenceFile
 from inspector.settings import Settings, SettingsError, configuration_hash, load, with_recipe
@@ -80,27 +80,23 @@ class Daemon:
             Command.DISCARD_RESULTS: lambda _: self._control.discard_results(),
             Command.RESET_STATISTICS: self._reset_statistics,
         }
-        self._server = _server(settings, self._control)
-        self._poster: Poster | None = None
+        self._outlets = Outlets(settings, self._control, self._notifier)
         self._panels: PanelWork | None = None
         self._spoken_s = -math.inf
 
     @property
     def port(self) -> int:
         """The TCP port of the registers."""
-        return self._server.port
+        return self._outlets.server.port
 
     @property
     def stall_after_s(self) -> float:
         """How long the cycle may be silent before the PLC is told, seconds."""
-        return self._server.stall_after_s
+        return self._outlets.server.stall_after_s
 
     def start(self) -> None:
         """Serve the registers, before anything else is done. Raises PlcServerError."""
-        self._server.start()
-        self._serve()
-        self._post_anew(None)
-        console.say(console.how_to_poll(self._settings.plc.host, self.port))
+        self._outlets.start(self._snapshot)
         self._show(described(self._snapshot, self._settings, configuration_hash(self._settings), Event.CONFIGURED))
 
     def run(self, limits: Limits) -> None:
@@ -108,7 +104,7 @@ class Daemon:
         ends_s = math.inf if limits.duration_s is None else time.monotonic() + limits.duration_s
         last = math.inf if limits.panels is None else self._snapshot.sequence + limits.panels
         with contextlib.ExitStack() as at_end, contextlib.suppress(StopRequested):
-            at_end.callback(self._server_stop)
+            at_end.callback(self._stop)
             self._prepare(at_end)
             self._notifier.send("READY=1")
             while not self._signals.stop and self._snapshot.sequence < last and time.monotonic() < ends_s:
@@ -209,7 +205,7 @@ class Daemon:
         self._beat()
 
     def _beat(self) -> None:
-        self._server.beat()
+        self._outlets.server.beat()
         self._notifier.feed_watchdog(time.monotonic())
 
     def _inspect_one(self) -> None:
@@ -237,7 +233,7 @@ class Daemon:
             self._publish(replace(shown, panel_id=panel_id or shown.panel_id), turn.name, turn.why)
         else:
             self._show(shown)
-            self._server.beat(INSPECTION_S)
+            self._outlets.server.beat(INSPECTION_S)
             self._publish_panels(self._panels)
         self._control.cycle_ended(self._awaits_plc)
         self._show_changed(self._counted(self._snapshot))
@@ -249,7 +245,7 @@ class Daemon:
                 self._panels.glance(self._missed)
             self._trigger.glance()
         finally:
-            self._server.beat(INSPECTION_S)
+            self._outlets.server.beat(INSPECTION_S)
 
     def _wants_frame(self) -> bool:
         return self._panels is None or self._panels.wants_frame()
@@ -351,10 +347,7 @@ class Daemon:
         old, inspect, panels = self._settings, self._make_inspection(new), self._panel_work(new)
         one_frame, new_hash = line_history.one_frame(new), configuration_hash(new)
         devices = self._build(new.camera, new.module, new.lamp)
-        if new.plc.served != old.plc.served:
-            self._serve_anew(new)
-        elif renews_certificates:
-            self._server.renew_certificates()
+        self._outlets.reach(new, renews_certificates=renews_certificates)
         if self._panels is not None:
             self._panels.interrupted("recipe or settings were changed")
             self._publish_panels(self._panels)
@@ -362,8 +355,7 @@ class Daemon:
         self._history.take_over(new, one_frame)
         self._panels = panels.after(self._panels, new.camera == old.camera) if panels else None
         self._settings = new
-        self._serve()
-        self._post_anew(old)
+        self._outlets.take_over(new, self._snapshot)
         self._sequence.move(new.plc.sequence_file)
         self._spoken_s = -math.inf
         self._trigger = self._triggered(self._trigger.missed, self._trigger.late)
@@ -372,52 +364,6 @@ class Daemon:
             anew = snapshots.taken_back(anew)
         self._snapshot = replace(anew, frames_so_far=0, settings_refused=False, simulated=self._cycle.simulated)
 
-    def _serve_anew(self, new: Settings) -> None:
-        """Serve as ``new`` says. Raises PlcServerError, and then serves on as before."""
-        server = _server(new, self._control)
-        in_the_way = bool(new.plc.ports & self._settings.plc.ports)
-        if in_the_way:
-            self._server.stop()
-        # Before anybody can connect: whoever is first finds the results where they were.
-        self._control.serve(server, new.plc.word_order, new.plc.buffer_results)
-        try:
-            server.start()
-        except PlcServerError:
-            if in_the_way:
-                self._server = _server(self._settings, self._control)
-                self._server.start()
-            self._serve()
-            raise
-        self._server.stop()
-        self._server = server
-        console.say(console.how_to_poll(new.plc.host, self.port))
-
-    def _serve(self) -> None:
-        """Registers are shown by this server, as the settings say, and the cycle may be silent as they let it."""
-        plc = self._settings.plc
-        self._control.serve(self._server, plc.word_order, plc.buffer_results)
-        self._server.stall_after_s = longest_silence_s(self._settings)
-        self._notifier.allow_silence(self.stall_after_s)
-
-    def _post_anew(self, old: Settings | None) -> None:
-        """Write results into the PLC that the settings name, if that is not what is done already."""
-        plc = self._settings.plc
-        if old is not None and (plc.post, plc.word_order) == (old.plc.post, old.plc.word_order):
-            return
-        self._control.post(None)
-        left = self._poster.stop() if self._poster else None
-        self._poster = None
-        if plc.post is not None:
-            master = factory.build_plc_master(plc.post.host, plc.post.port, plc.post.unit, plc.post.deadline_s)
-            self._poster = Poster(plc.post, master, self._snapshot, word_order=plc.word_order, stalled=self._is_stalled)
-            if left is not None:
-                self._poster.take_over(left)
-            self._poster.start()
-        self._control.post(self._poster)
-
-    def _is_stalled(self) -> bool:
-        return self._server.stalled
-
     def _say_farewell(self) -> None:
         self._notifier.send("STOPPING=1")
         if self._panels is not None and self._panels.under_way:
@@ -425,23 +371,10 @@ class Daemon:
         self._control.ready(False)
         self._control.publish(snapshots.stopped(self._snapshot))
 
-    def _server_stop(self) -> None:
-        if untaken := self._control.untaken:
-            log.error("stopped with %d results that the PLC has not taken: they are lost to it", untaken)
-        if self._poster and (left := self._poster.stop().undelivered):
-            log.error("stopped with %d results that were not posted: they are lost to the PLC", left)
-        self._server.stop()
+    def _stop(self) -> None:
+        self._outlets.stop()
         self._sequence.ends(self._snapshot.sequence)
         log.info("stopped")
-
-
-def _server(settings: Settings, control: PlcControl) -> PlcServer:
-    return PlcServer(
-        stall_after_s=longest_silence_s(settings),
-        on_control=control.write,
-        name=settings.station,
-        **settings.plc.served,
-    )
 
 
 def log_problems(error: SettingsError) -> None:

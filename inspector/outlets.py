@@ -1,0 +1,112 @@
+"""Where results go: the registers' server and the PLC that is written to; made anew when the settings change.
+
+The cycle's thread calls; what it calls never waits for a client.
+"""
+
+from __future__ import annotations
+
+import logging
+
+from firmware_bridge import factory
+from inspector.control import PlcControl
+from inspector.cycle import longest_silence_s
+from inspector.model import Snapshot
+from inspector.posting import Poster
+from inspector.publish import console
+from inspector.publish.plc_server import PlcServer, PlcServerError
+from inspector.publish.systemd import Notifier
+from inspector.settings import Settings
+
+log = logging.getLogger(__name__)
+
+
+class Outlets:
+    """The servers of one station. ``control`` is told what the PLC writes, ``notifier`` how long a cycle may take."""
+
+    def __init__(self, settings: Settings, control: PlcControl, notifier: Notifier) -> None:
+        self._settings, self._control, self._notifier = settings, control, notifier
+        self.server = _server(settings, control)
+        self._poster: Poster | None = None
+
+    def start(self, first: Snapshot) -> None:
+        """Serve and post, ``first`` before anything else. Raises PlcServerError."""
+        self.server.start()
+        self._serve()
+        self._post_anew(None, first)
+        console.say(console.how_to_poll(self._settings.plc.host, self.server.port))
+
+    def reach(self, new: Settings, *, renews_certificates: bool) -> None:
+        """Listen as ``new`` says. Raises PlcServerError, and then listens on as before."""
+        if new.plc.served != self._settings.plc.served:
+            self._serve_anew(new)
+        elif renews_certificates:
+            self.server.renew_certificates()
+
+    def take_over(self, new: Settings, shown: Snapshot) -> None:
+        """Go on by settings that were reached; ``shown`` is what the station is."""
+        old, self._settings = self._settings, new
+        self._serve()
+        self._post_anew(old, shown)
+
+    def stop(self) -> None:
+        """End, and say in the log what is lost by it."""
+        if untaken := self._control.untaken:
+            log.error("stopped with %d results that the PLC has not taken: they are lost to it", untaken)
+        if self._poster and (left := self._poster.stop().undelivered):
+            log.error("stopped with %d results that were not posted: they are lost to the PLC", left)
+        self.server.stop()
+
+    def _serve_anew(self, new: Settings) -> None:
+        """Serve as ``new`` says. Raises PlcServerError, and then serves on as before."""
+        server = _server(new, self._control)
+        in_the_way = bool(new.plc.ports & self._settings.plc.ports)
+        if in_the_way:
+            self.server.stop()
+        # Before anybody can connect: whoever is first finds the results where they were.
+        self._control.serve(server, new.plc.word_order, new.plc.buffer_results)
+        try:
+            server.start()
+        except PlcServerError:
+            if in_the_way:
+                self.server = _server(self._settings, self._control)
+                self.server.start()
+            self._serve()
+            raise
+        self.server.stop()
+        self.server = server
+        console.say(console.how_to_poll(new.plc.host, server.port))
+
+    def _serve(self) -> None:
+        """Registers are shown by this server, as the settings say, and the cycle may be silent as they let it."""
+        plc = self._settings.plc
+        self._control.serve(self.server, plc.word_order, plc.buffer_results)
+        self.server.stall_after_s = longest_silence_s(self._settings)
+        self._notifier.allow_silence(self.server.stall_after_s)
+
+    def _post_anew(self, old: Settings | None, shown: Snapshot) -> None:
+        """Write results into the PLC that the settings name, if that is not what is done already."""
+        plc = self._settings.plc
+        if old is not None and (plc.post, plc.word_order) == (old.plc.post, old.plc.word_order):
+            return
+        self._control.post(None)
+        left = self._poster.stop() if self._poster else None
+        self._poster = None
+        if plc.post is not None:
+            master = factory.build_plc_master(plc.post.host, plc.post.port, plc.post.unit, plc.post.deadline_s)
+            self._poster = Poster(plc.post, master, shown, word_order=plc.word_order, stalled=self._is_stalled)
+            if left is not None:
+                self._poster.take_over(left)
+            self._poster.start()
+        self._control.post(self._poster)
+
+    def _is_stalled(self) -> bool:
+        return self.server.stalled
+
+
+def _server(settings: Settings, control: PlcControl) -> PlcServer:
+    return PlcServer(
+        stall_after_s=longest_silence_s(settings),
+        on_control=control.write,
+        name=settings.station,
+        **settings.plc.served,
+    )
