@@ -6,6 +6,7 @@ import contextlib
 import os
 import shutil
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -79,6 +80,15 @@ def compiled_peer(peer: Callable[[str, str], str], tmp_path_factory: pytest.Temp
         return str(program)
 
     return compile_once
+
+
+@pytest.fixture
+def threads_alternate() -> Iterator[None]:
+    """Let threads take turns often: more chances to tear a read, and less waiting for the interpreter's turn."""
+    usual = sys.getswitchinterval()
+    sys.setswitchinterval(0.0002)
+    yield
+    sys.setswitchinterval(usual)
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ from inspector.handshake_table import Answer, Control
 from inspector.line_statistics import Rule, Spread, Statistics, TooLittle, Trend
 from inspector.model import Defect, PlcSide, Reason, Snapshot, State, Verdict
 from inspector.publish.plc_registers import ServedRegisters
+from inspector.publish.published_image import PublishedImage
 from inspector.publish.registers import (
     CONTROL_ADDRESS,
     REGISTERS,
@@ -169,9 +170,9 @@ def answer(exchange: Exchange) -> bytes:
         except ValueError as error:
             raise IllegalValue from error
 
-    served = ServedRegisters(on_control)
-    served.show(image(exchange.order))
-    return TcpSession(Slave({UNIT: served})).receive(exchange.request)
+    published = PublishedImage()
+    published.show(image(exchange.order))
+    return TcpSession(Slave({UNIT: ServedRegisters(published, on_control)})).receive(exchange.request)
 
 
 def image(order: WordOrder) -> Image:

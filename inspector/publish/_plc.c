@@ -33,6 +33,13 @@ enum {
 enum { TIME_OUT, READY, RECEIVED, UNSENT }; /* what plc_wait returns; plc_direct.py names them too */
 
 typedef struct {
+    pthread_mutex_t lock; /* held for one copy */
+    int areas;
+    struct { int address, count, at; } area[AREAS];
+    u8 image[IMAGE_BYTES];
+} Published; /* what every client reads, in C or through Python: a new image is there for all of them at once */
+
+typedef struct {
     /* The caller's part: plc_direct.py lays it out alike. */
     i64 descriptor, size; /* what plc_wait returned for, and how many bytes, or minus errno */
     i64 requests;         /* answered here so far */
@@ -43,48 +50,49 @@ typedef struct {
     u8 in[RECEIVE_BYTES];
     u8 out[SEND_BYTES];
     /* Ours. */
-    pthread_mutex_t lock; /* over the image: held for one copy */
-    int areas;
-    struct { int address, count, at; } area[AREAS];
-    u8 image[IMAGE_BYTES];
+    Published *published;
     int events, next;
     struct epoll_event event[EVENTS];
 } Plc;
 
+i64 plc_published_bytes(void) { return sizeof(Published); }
+
 i64 plc_bytes(void) { return sizeof(Plc); }
 
-void plc_begin(Plc *plc) { pthread_mutex_init(&plc->lock, NULL); }
+void plc_published_begin(Published *published) { pthread_mutex_init(&published->lock, NULL); }
+
+void plc_begin(Plc *plc, Published *published) { plc->published = published; }
 
 /* From now on show these: `areas` pairs of first address and count, and their registers one after the other, big-endian.
  * Returns 0, or -1 if there is no room for them. */
-i64 plc_show(Plc *plc, i64 areas, const i64 *spans, const u8 *registers) {
+i64 plc_show(Published *published, i64 areas, const i64 *spans, const u8 *registers) {
     i64 bytes = 0;
     for (i64 i = 0; i < areas; i++) bytes += 2 * spans[2 * i + 1];
     if (areas > AREAS || bytes > IMAGE_BYTES) return -1;
-    pthread_mutex_lock(&plc->lock);
+    pthread_mutex_lock(&published->lock);
     int at = 0;
     for (int i = 0; i < areas; i++) {
-        plc->area[i].address = (int)spans[2 * i];
-        plc->area[i].count = (int)spans[2 * i + 1];
-        plc->area[i].at = at;
-        at += 2 * plc->area[i].count;
+        published->area[i].address = (int)spans[2 * i];
+        published->area[i].count = (int)spans[2 * i + 1];
+        published->area[i].at = at;
+        at += 2 * published->area[i].count;
     }
-    plc->areas = (int)areas;
-    memcpy(plc->image, registers, at);
-    pthread_mutex_unlock(&plc->lock);
+    published->areas = (int)areas;
+    memcpy(published->image, registers, at);
+    pthread_mutex_unlock(&published->lock);
     return 0;
 }
 
-/* Copy registers; whether they lie within one area. */
-static int copied(Plc *plc, int address, int count, u8 *to) {
+/* Copy registers of what is shown, big-endian; whether they lie within one area. */
+i64 plc_read(Published *published, i64 address, i64 count, u8 *to) {
     int found = 0;
-    pthread_mutex_lock(&plc->lock);
-    for (int i = 0; i < plc->areas && !found; i++) {
-        int first = address - plc->area[i].address;
-        found = first >= 0 && first + count <= plc->area[i].count;
-        if (found) memcpy(to, plc->image + plc->area[i].at + 2 * first, 2 * count);
+    pthread_mutex_lock(&published->lock);
+    for (int i = 0; i < published->areas && !found; i++) {
+        i64 first = address - published->area[i].address;
+        found = first >= 0 && first + count <= published->area[i].count;
+        if (found) memcpy(to, published->image + published->area[i].at + 2 * first, 2 * count);
     }
-    pthread_mutex_unlock(&plc->lock);
+    pthread_mutex_unlock(&published->lock);
     return found;
 }
 
@@ -94,7 +102,7 @@ static int answered(Plc *plc, const u8 *request, u8 *answer) {
     int function = request[7], address = request[8] << 8 | request[9], count = request[10] << 8 | request[11];
     if (memcmp(request + 2, length, sizeof length) || !plc->unit[request[6]]) return 0;
     if ((function != 3 && function != 4) || count < 1 || count > MOST_REGISTERS) return 0;
-    if (!copied(plc, address, count, answer + HEADER_BYTES)) return 0;
+    if (!plc_read(plc->published, address, count, answer + HEADER_BYTES)) return 0;
     memcpy(answer, request, 4);
     answer[4] = 0;
     answer[5] = (u8)(3 + 2 * count);

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import ctypes
 import enum
-import itertools
 from collections.abc import Iterable
 
 from firmware_bridge.wire.modbus import Counters
 from inspector import native
-from inspector.publish.registers import Image
+from inspector.publish.published_image import MODULE, PublishedImage
 
-_MODULE = "inspector.publish._plc"
-_bytes = native.function(_MODULE, "plc_bytes", "")
-_begin = native.function(_MODULE, "plc_begin", "p")
-_show = native.function(_MODULE, "plc_show", "pipp")
-_wait = native.function(_MODULE, "plc_wait", "pid")
+_bytes = native.function(MODULE, "plc_bytes", "")
+_begin = native.function(MODULE, "plc_begin", "pp")
+_wait = native.function(MODULE, "plc_wait", "pid")
 
 DESCRIPTORS, RECEIVE_BYTES = 4096, 4096
 _SEND_BYTES = RECEIVE_BYTES // 12 * 259
@@ -53,21 +50,15 @@ _BYTES_AT = {Left.RECEIVED: _Shared.received.offset, Left.UNSENT: _Shared.unsent
 
 
 class Direct:
-    """Answers reads of the image shown, for ``units``, and counts them. One thread waits; any may show."""
+    """Answers reads of what is published, for ``units``, and counts them. One thread waits."""
 
-    def __init__(self, units: Iterable[int], counters: Counters) -> None:
+    def __init__(self, published: PublishedImage, units: Iterable[int], counters: Counters) -> None:
         self._memory, self._counters = ctypes.create_string_buffer(_bytes()), counters
         self._shared, self._bytes = _Shared.from_buffer(self._memory), memoryview(self._memory)
         for unit in units:
             self._shared.unit[unit] = 1
-        _begin(self._memory)
-
-    def show(self, image: Image) -> None:
-        """Answer from this from now on. Raises ValueError for more registers than there is room for."""
-        spans = [(first, len(data) // 2) for first, data in image.areas]
-        numbers = (ctypes.c_int64 * (2 * len(spans)))(*itertools.chain.from_iterable(spans))
-        if _show(self._memory, len(spans), numbers, b"".join(data for _, data in image.areas)):
-            raise ValueError(f"{len(spans)} areas of registers are more than the server has room for")
+        self._published = published  # the C code reads its memory
+        _begin(self._memory, published.memory)
 
     def watch(self, descriptor: int, direct: bool) -> None:
         """Whether this connection's reads are answered here."""

@@ -1,4 +1,4 @@
-"""The registers as the PLC server serves them: the image, swapped whole, and the blocks that clients write."""
+"""The registers as the PLC server serves them: the published image, and the blocks that clients write."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import struct
 from collections.abc import Callable, Sequence
 
 from firmware_bridge.wire.modbus import DeviceFailure, IllegalAddress, ModbusError, Table
-from inspector.publish.registers import CONTROL_WORDS, WRITTEN, Image
+from inspector.publish.published_image import PublishedImage
+from inspector.publish.registers import CONTROL_WORDS, WRITTEN
 
 log = logging.getLogger(__name__)
 
@@ -17,26 +18,19 @@ before it returns, or refuses by raising a ModbusError. Called in any thread of 
 
 
 class ServedRegisters:
-    """The image as a Modbus data model: holding registers mirror input registers; the blocks of control words can be
-    written. Without ``on_control`` nothing can.
+    """What is published as a Modbus data model: holding registers mirror input registers; the blocks of control words
+    can be written. Without ``on_control`` nothing can.
     """
 
-    def __init__(self, on_control: OnControl | None = None) -> None:
-        self._image = Image(())
-        self._on_control = on_control
-
-    def show(self, image: Image) -> None:
-        """Serve this from now on."""
-        self._image = image
+    def __init__(self, published: PublishedImage, on_control: OnControl | None = None) -> None:
+        self._published, self._on_control = published, on_control
 
     def read_registers(self, table: Table, address: int, count: int) -> bytes:
         """From one image, so never torn."""
-        for first, data in self._image.areas:
-            start = 2 * (address - first)
-            end = start + 2 * count
-            if start >= 0 and end <= len(data):
-                return data[start:end]
-        raise IllegalAddress
+        data = self._published.read(address, count)
+        if data is None:
+            raise IllegalAddress
+        return data
 
     def write_registers(self, address: int, data: bytes) -> None:
         """Into one block, whole."""

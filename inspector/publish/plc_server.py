@@ -1,6 +1,7 @@
 """The station's Modbus server: serves the last published image, whole, from a thread of its own.
 
-Rules. A read is answered from one immutable image, so it is never torn. The server never waits for the inspection:
+Rules. A read is answered from one published image, so it is never torn; there is one for all clients, so that none sees
+an older one than another has seen. The server never waits for the inspection:
 if the cycle stops beating, the server itself tells the PLC that the cycle has stalled. One client costs the others
 nothing: each is read a little a turn, and closed when it is silent, does not take its answers, or speaks something
 else. Who may connect and who may write is told apart by address (:mod:`inspector.publish.plc_access`). TLS
@@ -31,6 +32,7 @@ from inspector.publish.plc_clients import Access, Clients, Door, Welcome
 from inspector.publish.plc_connection import Connection, Ending
 from inspector.publish.plc_direct import Direct
 from inspector.publish.plc_registers import OnControl, ServedRegisters
+from inspector.publish.published_image import PublishedImage
 from inspector.publish.registers import MAP_VERSION, WordOrder, encode_image
 
 if TYPE_CHECKING:
@@ -112,11 +114,12 @@ class PlcServer:
         self._started_s = self._beat_s = time.monotonic()
         self._stalled = False
         self._lock = threading.Lock()
-        self._registers = ServedRegisters(on_control)
-        self._slave = Slave(dict.fromkeys(unit_ids, self._registers), _identity(name))
-        self._direct = Direct(unit_ids, self._slave.counters)
+        self._published = PublishedImage()
+        registers = ServedRegisters(self._published, on_control)
+        self._slave = Slave(dict.fromkeys(unit_ids, registers), _identity(name))
+        self._direct = Direct(self._published, unit_ids, self._slave.counters)
         self._serial = serial
-        self._serial_slave = Slave({serial.unit: self._registers} if serial else {}, _identity(name))
+        self._serial_slave = Slave({serial.unit: registers} if serial else {}, _identity(name))
         self._clients: Clients | None = None
         self._shell: SerialShell | None = None
         self._thread: threading.Thread | None = None
@@ -238,9 +241,7 @@ class PlcServer:
         if stalled is not self._stalled:
             self._note_stall(stalled, allowed_s)
         shown = as_stalled(snapshot) if stalled else snapshot
-        image = encode_image(shown, now_s, int(now_s - self._started_s), self._word_order)
-        self._registers.show(image)
-        self._direct.show(image)
+        self._published.show(encode_image(shown, now_s, int(now_s - self._started_s), self._word_order))
         self._snapshot = snapshot
 
     def _note_stall(self, stalled: bool, allowed_s: float) -> None:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import subprocess
-import sys
-import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from flat_out import FlatOut, derived
 
 from inspector.model import Defect, Flag, Reason, Snapshot, State, Verdict
 from inspector.publish.plc_server import PlcServer
@@ -117,57 +117,15 @@ def test_pymodbus_reads_what_was_published(server: PlcServer) -> None:
     assert (refused.exception_code, written.exception_code) == (2, 2)
 
 
-@pytest.fixture
-def _threads_alternate() -> Iterator[None]:
-    """Let threads take turns often: more chances to tear a read, and less waiting for the interpreter's turn."""
-    usual = sys.getswitchinterval()
-    sys.setswitchinterval(0.0005)
-    yield
-    sys.setswitchinterval(usual)
-
-
-def derived(sequence: int) -> Snapshot:
-    """A snapshot of which every part tells the sequence."""
-    number = sequence % 30_000
-    seeds = tuple(Defect(number / 100, number / 100, number, number, (0.0, 0.0), (0.0, 0.0)) for _ in range(12))
-    return Snapshot(
-        sequence=number,
-        acquisition_id=number,
-        panel_id=number,
-        recipe_id=number,
-        defects=seeds,
-        unpaired_count=number,
-        panels_passed=number,
-        overruns=number,
-        lamp_set_v=number / 1000,
-        exposure_us=number,
-        configuration_hash=number,
-    )
-
-
-@pytest.mark.usefixtures("_threads_alternate")
+@pytest.mark.usefixtures("threads_alternate")
 def test_not_one_read_is_torn_while_results_come_flat_out(server: PlcServer, read_in_c: Reader) -> None:
-    snapshots = [derived(n) for n in range(1, 2000)]
-    enough, published = threading.Event(), 0
-
-    def publish() -> None:
-        nonlocal published
-        while not enough.is_set():
-            server.publish(snapshots[published % len(snapshots)])
-            published += 1
-
-    publisher = threading.Thread(target=publish)
-    publisher.start()
-    try:
+    snapshots = itertools.cycle([derived(n) for n in range(1, 2000)])
+    with FlatOut(server.publish, snapshots) as publisher:
         blocks = read_in_c(0, RESULT_WORDS, WHOLE_READS)
-    finally:
-        enough.set()
-        publisher.join()
-
     telling = np.flatnonzero(np.frombuffer(encode(derived(12345), 0.0, 0), ">u2") == 12345)
     torn = (blocks[:, telling] != blocks[:, :1]).any(axis=1)
     assert len(telling) > 50
     assert {0, RESULT_WORDS - 1} < set(telling.tolist())
     assert not torn.any(), blocks[torn][:2]
     assert len(np.unique(blocks[:, 0])) > 20
-    assert published > 100
+    assert publisher.published > 100

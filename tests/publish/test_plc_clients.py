@@ -7,13 +7,13 @@ import os
 import random
 import resource
 import socket
-import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
+from plc_wire import ask, connect, is_closed, receive
 
 from firmware_bridge.wire.modbus import IllegalValue
 from inspector.model import PlcSide, Snapshot
@@ -28,52 +28,9 @@ ANSWER = bytes.fromhex("0001 0000 0005 01 03 02 0000")
 FUZZ_BYTES = int(os.environ.get("FUZZ_BYTES", "300000"))
 
 
-@pytest.fixture
-def start() -> Iterator[Start]:
-    with ExitStack() as started:
-
-        def run(**options: Any) -> PlcServer:
-            server = PlcServer(port=0, **{"stall_after_s": 60.0} | options)
-            server.start()
-            started.callback(server.stop)
-            return server
-
-        yield run
-
-
-def connect(server: PlcServer, address: str = "127.0.0.1") -> socket.socket:
-    client = socket.create_connection(("127.0.0.1", server.port), timeout=20, source_address=(address, 0))
-    client.settimeout(20)
-    return client
-
-
-def receive(client: socket.socket, size: int) -> bytes:
-    data = b""
-    while len(data) < size:
-        piece = client.recv(size - len(data))
-        assert piece, f"closed after {len(data)} of {size} bytes"
-        data += piece
-    return data
-
-
-def ask(client: socket.socket, pdu: str) -> str:
-    body = b"\x01" + bytes.fromhex(pdu)
-    client.sendall(b"\0\x07\0\0" + len(body).to_bytes(2, "big") + body)
-    transaction, protocol, length = struct.unpack(">HHH", receive(client, 6))
-    assert (transaction, protocol) == (7, 0)
-    return receive(client, length)[1:].hex(" ")
-
-
 def is_served(client: socket.socket) -> bool:
     client.sendall(READ)
     return receive(client, len(ANSWER)) == ANSWER
-
-
-def is_closed(client: socket.socket) -> bool:
-    with contextlib.suppress(ConnectionResetError):
-        while client.recv(65536):
-            pass
-    return True
 
 
 # Rights.
@@ -111,7 +68,7 @@ def test_a_reader_that_writes_is_told_that_it_may_not(start: Start, write: str) 
     station = Station()
     server = station.server = start(on_control=station.take, allow_write=("127.0.0.1",))
     with connect(server, "127.0.0.2") as reader:
-        assert ask(reader, write) == f"{int(write[:2], 16) | 0x80:02x} 01"
+        assert ask(reader, f"01 {write}") == f"01 {int(write[:2], 16) | 0x80:02x} 01"
         assert is_served(reader)
     assert not station.written
     assert server.diagnostics.exceptions == {1: 1}
@@ -121,12 +78,12 @@ def test_a_writer_writes_the_control_block_and_everybody_reads_it(start: Start) 
     station = Station()
     server = station.server = start(on_control=station.take, allow_write=("127.0.0.1",))
     with connect(server) as writer, connect(server, "127.0.0.2") as reader:
-        assert ask(reader, "03 01f4 0002") == "03 04 00 00 00 00"
-        assert ask(writer, "10 01f4 0002 04 1234 5678") == "10 01 f4 00 02"
-        assert ask(reader, "03 01f4 0002") == "03 04 12 34 56 78"
-        assert ask(writer, "16 01f5 ff00 0001") == "16 01 f5 ff 00 00 01"
-        assert ask(reader, "04 01f5 0001") == "04 02 56 01"
-        assert ask(writer, "17 01f5 0001 01f5 0001 02 0002") == "17 02 00 02"
+        assert ask(reader, "01 03 01f4 0002") == "01 03 04 00 00 00 00"
+        assert ask(writer, "01 10 01f4 0002 04 1234 5678") == "01 10 01 f4 00 02"
+        assert ask(reader, "01 03 01f4 0002") == "01 03 04 12 34 56 78"
+        assert ask(writer, "01 16 01f5 ff00 0001") == "01 16 01 f5 ff 00 00 01"
+        assert ask(reader, "01 04 01f5 0001") == "01 04 02 56 01"
+        assert ask(writer, "01 17 01f5 0001 01f5 0001 02 0002") == "01 17 02 00 02"
     assert station.written == [(500, (0x1234, 0x5678)), (501, (0x5601,)), (501, (2,))]
 
 
@@ -134,7 +91,7 @@ def test_a_writer_writes_the_control_block_and_everybody_reads_it(start: Start) 
 def test_only_the_control_block_can_be_written(start: Start, write: str) -> None:
     server = start(on_control=lambda *_: None)
     with connect(server) as writer:
-        assert ask(writer, write) == f"{int(write[:2], 16) | 0x80:02x} 02"
+        assert ask(writer, f"01 {write}") == f"01 {int(write[:2], 16) | 0x80:02x} 02"
 
 
 def test_what_the_station_refuses_is_not_kept(start: Start, caplog: pytest.LogCaptureFixture) -> None:
@@ -145,9 +102,9 @@ def test_what_the_station_refuses_is_not_kept(start: Start, caplog: pytest.LogCa
 
     server = start(on_control=refuse)
     with connect(server) as writer:
-        assert ask(writer, "06 01f4 0001") == "86 03"
-        assert ask(writer, "06 01f4 0002") == "86 04"
-        assert ask(writer, "03 01f4 0001") == "03 02 00 00"
+        assert ask(writer, "01 06 01f4 0001") == "01 86 03"
+        assert ask(writer, "01 06 01f4 0002") == "01 86 04"
+        assert ask(writer, "01 03 01f4 0001") == "01 03 02 00 00"
     assert caplog.text.count("write of 1 registers at 500 met a fault") == 1
 
 

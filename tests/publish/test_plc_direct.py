@@ -14,6 +14,7 @@ from firmware_bridge.wire.modbus import Counters, Slave
 from firmware_bridge.wire.modbus_frames import TcpSession
 from inspector.publish.plc_direct import Direct, Left
 from inspector.publish.plc_registers import ServedRegisters
+from inspector.publish.published_image import PublishedImage
 from inspector.publish.registers import Image
 
 UNITS = (0, 1, 255)
@@ -25,8 +26,9 @@ class Pair:
 
     def __init__(self) -> None:
         self.counters = Counters()
-        self.direct = Direct(UNITS, self.counters)
-        self.direct.show(IMAGE)
+        self.published = PublishedImage()
+        self.direct = Direct(self.published, UNITS, self.counters)
+        self.published.show(IMAGE)
         self.client, self.served = socket.socketpair()
         self.client.setblocking(False)
         self.epoll = select.epoll()
@@ -50,9 +52,9 @@ def pair() -> Iterator[Pair]:
 
 
 def core() -> TcpSession:
-    registers = ServedRegisters()
-    registers.show(IMAGE)
-    return TcpSession(Slave(dict.fromkeys(UNITS, registers)))
+    published = PublishedImage()
+    published.show(IMAGE)
+    return TcpSession(Slave(dict.fromkeys(UNITS, ServedRegisters(published))))
 
 
 def request(transaction: int, unit: int, function: int, address: int, count: int) -> bytes:
@@ -143,7 +145,7 @@ def test_nobodys_turn_is_lost(pair: Pair) -> None:
 
 def test_more_registers_than_there_is_room_for_are_refused(pair: Pair) -> None:
     with pytest.raises(ValueError, match="2 areas of registers are more"):
-        pair.direct.show(Image(((0, bytes(16384)), (9000, bytes(2)))))
+        pair.published.show(Image(((0, bytes(16384)), (9000, bytes(2)))))
     pair.client.send(request(1, 1, 3, 0, 1))
     pair.wait()
     assert pair.client.recv(100).endswith(b"\x02\x00\x01")

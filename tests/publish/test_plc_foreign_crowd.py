@@ -6,11 +6,11 @@ CROWD_REQUESTS sets how many requests they make together.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import re
 import shutil
 import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -18,8 +18,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from flat_out import FlatOut, derived
 
-from inspector.model import Defect, PlcSide, Snapshot
+from inspector.model import PlcSide, Snapshot
 from inspector.publish.plc_server import PlcServer
 from inspector.publish.registers import CONTROL_ADDRESS, CONTROL_WORDS, encode_image
 
@@ -35,52 +36,34 @@ LIMIT_S = 60 + REQUESTS / 500
 pytestmark = pytest.mark.timeout(LIMIT_S + 60)
 
 
-def derived(number: int) -> Snapshot:
-    """A snapshot of which every part tells the number."""
-    seeds = (Defect(number / 100, number / 100, number, number, (0.0, 0.0), (0.0, 0.0)),) * 64
-    return Snapshot(
-        sequence=number,
-        acquisition_id=number,
-        panel_id=number,
-        recipe_id=number,
-        defects=seeds,
-        unpaired_count=number,
-        panels_passed=number,
-        lamp_set_v=number / 1000,
-        exposure_us=number,
-        configuration_hash=number,
-    )
-
-
 class Station:
     """Publishes flat out, and keeps what is written into its control block."""
 
     def __init__(self) -> None:
         self.server = PlcServer(port=0, stall_after_s=600.0, on_control=self._take)
-        self.published = 0
         self._words = (0,) * CONTROL_WORDS
-        self._lock, self._enough, self._free = threading.Lock(), threading.Event(), threading.Event()
+        self._lock, self._free = threading.Lock(), threading.Event()
         self._free.set()
-        self._thread = threading.Thread(target=self._publish)
+        self._publisher = FlatOut(self._publish, itertools.cycle([derived(number) for number in range(1, 3000)]))
+
+    @property
+    def published(self) -> int:
+        return self._publisher.published
 
     def __enter__(self) -> Station:
         self.server.start()
         self._show(derived(1))
-        self._thread.start()
+        self._publisher.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._enough.set()
-        self._thread.join()
+        self._publisher.__exit__()
         self.server.stop()
 
-    def _publish(self) -> None:
-        snapshots = [derived(number) for number in range(1, 3000)]
-        while not self._enough.is_set():
-            self._free.wait()  # a lock taken again at once would keep writers out for ever
-            with self._lock:
-                self._show(snapshots[self.published % len(snapshots)])
-            self.published += 1
+    def _publish(self, snapshot: Snapshot) -> None:
+        self._free.wait()  # a lock taken again at once would keep writers out for ever
+        with self._lock:
+            self._show(snapshot)
 
     def _take(self, address: int, words: Sequence[int]) -> None:
         at = address - CONTROL_ADDRESS
@@ -188,16 +171,7 @@ class Mbpoll:
         self._process.wait(30)
 
 
-@pytest.fixture
-def _threads_alternate() -> Iterator[None]:
-    """Let threads take turns often: more chances to tear a read, and less waiting for the interpreter's turn."""
-    usual = sys.getswitchinterval()
-    sys.setswitchinterval(0.0002)
-    yield
-    sys.setswitchinterval(usual)
-
-
-@pytest.mark.usefixtures("_threads_alternate")
+@pytest.mark.usefixtures("threads_alternate")
 def test_a_crowd_of_foreign_clients_reads_and_writes(run: Run, peer: Any, template: Path) -> None:
     with Station() as station, contextlib.ExitStack() as stack:
         poll = Mbpoll(peer("mbpoll", "mbpoll"), station.server.port)

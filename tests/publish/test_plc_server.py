@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import socket
 import struct
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable
 from typing import Any
 
 import pytest
+from flat_out import FlatOut
+from plc_wire import ask, connect, is_closed, receive
 
 from inspector.faults import Fault
 from inspector.model import Defect, Reason, Snapshot, State, Verdict
@@ -32,58 +34,10 @@ GOOD = Snapshot(
 )
 
 
-@pytest.fixture
-def start() -> Iterator[Start]:
-    """Starts servers on free ports, and stops them."""
-    with ExitStack() as started:
-
-        def run(**options: Any) -> PlcServer:
-            server = PlcServer(port=0, **{"stall_after_s": 60.0} | options)
-            server.start()
-            started.callback(server.stop)
-            return server
-
-        yield run
-
-
-def connect(server: PlcServer) -> socket.socket:
-    client = socket.create_connection(("127.0.0.1", server.port), timeout=10)
-    client.settimeout(10)
-    return client
-
-
-def receive(client: socket.socket, size: int) -> bytes:
-    data = b""
-    while len(data) < size:
-        piece = client.recv(size - len(data))
-        assert piece, f"closed after {len(data)} of {size} bytes"
-        data += piece
-    return data
-
-
-def ask(client: socket.socket, request: str) -> str:
-    """The answer without its header, to a request given with everything after transaction and protocol id."""
-    body = bytes.fromhex(request)
-    client.sendall(b"\x12\x34\0\0" + len(body).to_bytes(2, "big") + body)
-    transaction, protocol, length = struct.unpack(">HHH", receive(client, 6))
-    assert (transaction, protocol) == (0x1234, 0)
-    return receive(client, length).hex(" ")
-
-
 def read_block(client: socket.socket) -> dict[str, Any]:
     client.sendall(READ_BLOCK)
     answer = receive(client, 259)
     return decode(struct.unpack(">125H", answer[9:]))
-
-
-def is_closed(client: socket.socket) -> bool:
-    """Whether the server has ended the connection; what it still had to say is read away."""
-    try:
-        while client.recv(65536):
-            pass
-    except ConnectionResetError:
-        pass
-    return True
 
 
 def test_serves_from_the_first_moment_and_is_no_pass(start: Start) -> None:
@@ -158,7 +112,6 @@ def test_pipelined_requests_are_answered_in_order(start: Start) -> None:
 
 def test_a_request_in_single_bytes_is_answered(start: Start) -> None:
     with connect(start()) as client:
-        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         for byte in READ_BLOCK:
             client.send(bytes((byte,)))
         assert receive(client, 259)[7:9] == b"\x04\xfa"
@@ -245,6 +198,21 @@ def test_a_stalled_cycle_is_told_until_it_beats_again(start: Start, wait_until: 
             return read_block(client)["verdict"] == Verdict.PASS
 
         wait_until(recovered, "the result is back")
+
+
+@pytest.mark.usefixtures("threads_alternate")
+def test_no_client_reads_an_older_result_than_another_has_read(start: Start) -> None:
+    """A read that C answers, and one that Python answers, as those over TLS and a serial line: here since what comes
+    together with it is no read."""
+    server, last = start(), 0
+    later = (Snapshot(sequence=n) for n in itertools.count(1))
+    with connect(server) as in_c, connect(server) as in_python, FlatOut(server.publish, later) as publisher:
+        for _ in range(500):
+            in_python.sendall(bytes.fromhex("0001 0000 0006 01 04 0000 0001 0002 0000 0002 01 55"))
+            for read in (receive(in_python, 20)[9:11].hex(), ask(in_c, "01 04 0000 0001")[9:].replace(" ", "")):
+                assert (int(read, 16) - last) % 0x10000 < 0x8000
+                last = int(read, 16)
+    assert publisher.published > 100
 
 
 def test_heartbeat_and_age_go_on_without_publishing(start: Start, wait_until: Wait) -> None:
