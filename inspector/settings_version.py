@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from inspector import calibration_file
 from inspector.acquire import light
@@ -52,6 +52,14 @@ class SettingsVersion:
         return self._part(Recipe, "recipe")
 
     @cached_property
+    def recipes(self) -> tuple[Recipe, ...]:
+        """The recipes that PLC and people choose from. Raises VersionWrong."""
+        try:
+            return TypeAdapter(tuple[Recipe, ...]).validate_json(json.dumps(self.settings.get("recipes", ())))
+        except ValidationError as error:
+            raise self._not_known("recipes", error) from error
+
+    @cached_property
     def panel(self) -> PanelSettings:
         """What made a panel of frames. Raises VersionWrong."""
         return self._part(PanelSettings, "panel")
@@ -69,8 +77,11 @@ class SettingsVersion:
         try:
             return model.model_validate_json(json.dumps(self.settings[key]))
         except (KeyError, ValidationError) as error:
-            what = f"settings {self.name}: {key} is not one of this program's: {error}"
-            raise VersionWrong(f"{what}; replay them with the program that wrote them") from error
+            raise self._not_known(key, error) from error
+
+    def _not_known(self, key: str, error: Exception) -> VersionWrong:
+        what = f"settings {self.name}: {key} is not one of this program's: {error}"
+        return VersionWrong(f"{what}; replay them with the program that wrote them")
 
     def as_json(self) -> str:
         """The version as a file keeps it."""

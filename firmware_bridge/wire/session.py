@@ -53,7 +53,7 @@ def parse(text: str) -> tuple[Recorded, ...]:
     whole, _, _ = text.rpartition("\n")  # a last line without its end was cut short
     lines = whole.split("\n")
     heading(text)
-    return tuple(_recorded(number, text) for number, text in enumerate(lines[1:], 2))
+    return tuple(recorded(number, text) for number, text in enumerate(lines[1:], 2))
 
 
 def heading(text: str) -> dict[str, object]:
@@ -67,7 +67,8 @@ def heading(text: str) -> dict[str, object]:
 _TAKEN = tuple(field.name for field in fields(Recorded) if field.name != "beyond")
 
 
-def _recorded(number: int, text: str) -> Recorded:
+def recorded(number: int, text: str) -> Recorded:
+    """The frame of one line, the ``number``-th of its index. Raises SessionWrong."""
     said = _mapping(number, text)
     values = {name: said.pop(name, None) for name in _TAKEN}
     file = values["file"]
