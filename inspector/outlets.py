@@ -6,6 +6,7 @@ The cycle's thread calls; what it calls never waits for a client.
 from __future__ import annotations
 
 import logging
+import threading
 
 from firmware_bridge import factory
 from inspector.control import PlcControl
@@ -27,6 +28,7 @@ class Outlets:
         self._settings, self._control, self._notifier = settings, control, notifier
         self.server = _server(settings, control)
         self._poster: Poster | None = None
+        self._turn_to_post = threading.Lock()
 
     def start(self, first: Snapshot) -> None:
         """Serve and post, ``first`` before anything else. Raises PlcServerError."""
@@ -93,7 +95,14 @@ class Outlets:
         self._poster = None
         if plc.post is not None:
             master = factory.build_plc_master(plc.post.host, plc.post.port, plc.post.unit, plc.post.deadline_s)
-            self._poster = Poster(plc.post, master, shown, word_order=plc.word_order, stalled=self._is_stalled)
+            self._poster = Poster(
+                plc.post,
+                master,
+                shown,
+                turn=self._turn_to_post,
+                word_order=plc.word_order,
+                stalled=self._is_stalled,
+            )
             if left is not None:
                 self._poster.take_over(left)
             self._poster.start()

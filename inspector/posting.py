@@ -34,7 +34,8 @@ HEAD_WORDS = RESULT_WORDS - MAX_WRITE_REGISTERS
 LOOK_S = 0.05
 """While an acknowledgement is awaited, the PLC's register is read this often."""
 STOP_DEADLINE_S = 2.0
-"""The cycle waits no longer for this to end; a thread that still waits for its PLC then ends by itself, unheard."""
+"""The cycle waits no longer for this to end; a thread that still waits for its PLC then ends by itself, and whoever
+comes after it waits for that."""
 
 
 class Master(Protocol):
@@ -47,7 +48,11 @@ class Master(Protocol):
 
 
 class Poster:
-    """Writes results into the registers behind ``master``. ``stalled``: whether the inspection has stopped turning."""
+    """Writes results into the registers behind ``master``. ``stalled``: whether the inspection has stopped turning.
+
+    ``turn`` is held from the first request to the end: of posters that share it, one begins to write when the one
+    before has written its last, so that a PLC gets no part of a block between two of another's, nor one from before it.
+    """
 
     def __init__(
         self,
@@ -55,10 +60,11 @@ class Poster:
         master: Master,
         first: Snapshot,
         *,
+        turn: threading.Lock,
         word_order: WordOrder = "high_first",
         stalled: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._settings, self._master = settings, master
+        self._settings, self._master, self._turn_to_write = settings, master, turn
         self._word_order, self._stalled = word_order, stalled
         self._box = Outbox(settings.queue, settings.acknowledge_address is not None, first)
         self._live = first
@@ -109,11 +115,12 @@ class Poster:
         self._full = full
 
     def _run(self) -> None:
-        self._until_stopped()
-        with contextlib.suppress(BridgeError):
-            if self._open and self._new and not self._given_up:
-                self._turn()  # that the station goes off
-        self._master.close()
+        with self._turn_to_write:
+            self._until_stopped()
+            with contextlib.suppress(BridgeError):
+                if self._open and self._new and not self._given_up:
+                    self._turn()  # that the station goes off
+            self._master.close()
 
     def _until_stopped(self) -> None:
         while not self._stopping:

@@ -117,12 +117,17 @@ class FakeMaster:
 
 @pytest.fixture
 def poster() -> Iterator[Callable[..., Poster]]:
-    """``poster(master, stalled=..., **settings)``: a poster at work."""
+    """``poster(master, stalled=..., after=..., **settings)``: a poster at work; it takes over from ``after``."""
     with contextlib.ExitStack() as stack:
+        turn = threading.Lock()
 
-        def start(master: Any, stalled: Callable[[], bool] = lambda: False, **settings: Any) -> Poster:
+        def start(
+            master: Any, stalled: Callable[[], bool] = lambda: False, after: Poster | None = None, **settings: Any
+        ) -> Poster:
             given = PostSettings(**({"host": "127.0.0.1", "address": BASE} | QUICK | settings))
-            made = Poster(given, master, Snapshot(), stalled=stalled)
+            made = Poster(given, master, Snapshot(), turn=turn, stalled=stalled)
+            if after is not None:
+                made.take_over(after.stop())
             stack.callback(made.stop)
             made.start()
             return made
@@ -216,13 +221,46 @@ def test_another_poster_goes_on_with_what_was_left(
     for sequence in (1, 2, 3):
         at_work.show(result(sequence), result(sequence))
     wait_until(lambda: first.block["sequence"] == 1, "the first")
-    given = PostSettings(host="127.0.0.1", address=BASE, **QUICK)
-    heir = Poster(given, second, Snapshot())
-    heir.take_over(at_work.stop())
-    heir.start()
+    poster(second, after=at_work)
     wait_until(lambda: second.block["sequence"] == 3, "the last")
     assert second.writes[:6] == [(BASE + 2, 123), (BASE, 2)] * 3
-    heir.stop()
+
+
+def test_a_poster_that_was_given_up_has_ended_before_another_begins(
+    poster: Callable[..., Poster], wait_until: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The PLC answers the old one's request only once another is at work: no block is of both, and none goes back."""
+    monkeypatch.setattr(posting, "STOP_DEADLINE_S", 0.05)
+    plc, asked, answers = FakeMaster(), threading.Event(), threading.Event()
+    begun, seen = threading.Event(), list[tuple[int, int]]()
+
+    class OnThisPlc(FakeMaster):
+        def open(self) -> None:
+            begun.set()
+
+        def write_many(self, address: int, values: list[int]) -> None:
+            plc.write_many(address, values)
+            seen.append((plc.block["sequence"], plc.block["sequence_end"]))
+
+    class SlowlyOnThisPlc(OnThisPlc):
+        def open(self) -> None: ...
+
+        def write_many(self, address: int, values: list[int]) -> None:
+            asked.set()
+            assert answers.wait(20)
+            super().write_many(address, values)
+
+    old = poster(SlowlyOnThisPlc())
+    old.show(result(1), result(1))
+    assert asked.wait(20)
+    at_work = poster(OnThisPlc(), after=old)
+    at_work.show(result(2), result(2))
+    assert not begun.wait(0.3)
+    answers.set()
+    wait_until(lambda: plc.block["sequence"] == 2, "the new one's result")
+    whole = [sequence for sequence, end in seen[1::2] if sequence == end]
+    assert len(whole) == len(seen) // 2
+    assert whole == sorted(whole)
 
 
 class Plc:
