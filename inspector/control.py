@@ -14,9 +14,9 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from firmware_bridge.wire.modbus import IllegalValue
+from firmware_bridge.wire.modbus import DeviceBusy, IllegalValue
 from inspector import handshake
-from inspector.handshake import ControlBlock, Handshake, Order
+from inspector.handshake import PANEL_ORDERS, ControlBlock, Handshake, Order
 from inspector.handshake_table import Action, CommandResult, Step
 from inspector.model import Snapshot
 from inspector.posting import Poster
@@ -33,7 +33,7 @@ from inspector.publish.registers import (
 log = logging.getLogger(__name__)
 
 PANEL_MARKS = 64
-"""More panel starts and ends than this, while nobody takes them, are forgotten, the oldest first."""
+"""So many panel starts and ends may wait for the cycle; a write that makes more is refused as busy."""
 
 
 class PlcControl:
@@ -55,7 +55,7 @@ class PlcControl:
         self._trigger: Order | None = None
         self._commands: deque[Order] = deque()
         self._obeyed: Order | None = None
-        self._marks: deque[Order] = deque(maxlen=PANEL_MARKS)
+        self._marks: list[Order] = []
         self._clear = False
 
     def serve(self, server: PlcServer, word_order: WordOrder, always_buffer: bool) -> None:
@@ -72,7 +72,8 @@ class PlcControl:
             self._show()
 
     def write(self, address: int, words: Sequence[int]) -> None:
-        """PLC or operator writes into its block. Raises IllegalValue if it means nothing; then nothing is written."""
+        """PLC or operator writes into its block. Raises IllegalValue if it means nothing, DeviceBusy if it has a panel
+        mark that finds no room; then nothing is written."""
         by_operator = address >= OPERATOR_ADDRESS
         first = OPERATOR_ADDRESS if by_operator else CONTROL_ADDRESS
         with self._lock:
@@ -84,8 +85,8 @@ class PlcControl:
                 block = (decode_operator if by_operator else decode_control)(written, self._word_order)
             except ValueError as error:
                 raise IllegalValue from error
-            self._words[first] = written
             self._take(block, by_operator)
+            self._words[first] = written
             self._show()
         self._wake()
 
@@ -184,8 +185,7 @@ class PlcControl:
     def take_panel_marks(self) -> list[Order]:
         """Panel starts and ends since this was asked last, in their order."""
         with self._lock:
-            marks = list(self._marks)
-            self._marks.clear()
+            marks, self._marks = self._marks, []
             return marks
 
     def _take(self, block: ControlBlock, by_operator: bool) -> None:
@@ -195,7 +195,9 @@ class PlcControl:
         else:
             stalled = self._server is not None and self._server.stalled
             state = handshake.ready(self._state, self._state.able and not stalled)
-            self._state, orders = handshake.written(state, block, self._clock())
+            stepped, orders = handshake.written(state, block, self._clock())
+            self._make_room(sum(order.action in PANEL_ORDERS for order in orders))
+            self._state = stepped
         for order in orders:
             match order.action:
                 case Action.BEGIN_CYCLE:
@@ -206,6 +208,16 @@ class PlcControl:
                     self._clear = True
                 case _:
                     self._marks.append(order)
+
+    def _make_room(self, marks: int) -> None:
+        """Raise DeviceBusy if so many marks more are too many; the panel that they would have ended is told."""
+        if not marks or len(self._marks) + marks <= PANEL_MARKS:
+            return
+        last = self._marks[-1]
+        if not last.mark_refused_after:
+            log.error("%d panel marks wait for a cycle that does not take them: the PLC is answered busy", PANEL_MARKS)
+        self._marks[-1] = replace(last, mark_refused_after=True)
+        raise DeviceBusy
 
     def _step(self, state: Handshake) -> None:
         if state != self._state:

@@ -49,7 +49,7 @@ class ControlBlock:
 class Order:
     """An action that somebody else carries out, one of :data:`ORDERS`, and when it was asked for on the caller's
     clock. ``panel_id`` 0: the PLC gave none. ``missed``: how often TRIGGER had been missed until then. ``by_operator``:
-    of the operator's page."""
+    of the operator's page. ``mark_refused_after``: a panel mark that came after this one found no room."""
 
     action: Action
     asked_s: float
@@ -58,6 +58,7 @@ class Order:
     argument: int = 0
     missed: int = 0
     by_operator: bool = False
+    mark_refused_after: bool = False
 
     @property
     def asker(self) -> str:
@@ -65,7 +66,8 @@ class Order:
         return "Operator" if self.by_operator else "PLC"
 
 
-ORDERS = (Action.BEGIN_CYCLE, Action.CLEAR_FAULTS, Action.RUN_COMMAND, Action.START_PANEL, Action.END_PANEL)
+PANEL_ORDERS = (Action.START_PANEL, Action.END_PANEL)
+ORDERS = (Action.BEGIN_CYCLE, Action.CLEAR_FAULTS, Action.RUN_COMMAND, *PANEL_ORDERS)
 
 
 @dataclass(frozen=True, slots=True)

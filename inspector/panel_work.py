@@ -70,6 +70,7 @@ class PanelWork:
         """These panels, their frames counted on where ``before`` has come, if they make panels as they did."""
         if before is not None:
             self._panels.goes_on(before._panels, same_camera)
+            self._marks = before._marks
         return self
 
     def mark(self, marks: list[Order], before_s: float, missed_otherwise: int) -> None:
@@ -90,6 +91,8 @@ class PanelWork:
                     self._panels.misses(NO_FRAME)
             else:
                 self._keep(self._panels.ended(panel_id, missed))
+            if order.mark_refused_after:
+                self._panels.misses("the PLC's next mark was refused: too many waited")
 
     def glance(self, missed: int) -> None:
         """In the middle of a cycle, right after the exposure: see whether a panel is in view."""

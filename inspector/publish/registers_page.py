@@ -58,6 +58,8 @@ EXCEPTIONS = (
     (1, "Unknown function"),
     (2, "Some address is outside every area, or is not writable"),
     (3, "Count or value not allowed (a read takes 1 to 125 registers, reserved bits and words are written as 0)"),
+    (4, "A fault of the station's own; see its log"),
+    (6, "Busy: too many PANEL_START and PANEL_END wait for the cycle. Nothing was written; write it again"),
     (11, "Unit id not served here (0, 1 and 255 are, unless configured)"),
 )
 

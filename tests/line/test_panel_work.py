@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -128,6 +129,17 @@ def test_a_trigger_missed_after_a_panels_end_and_the_next_ones_start_is_the_next
     line.work.look(1)
     line.work.mark([Order(Action.END_PANEL, 2.0, 8, missed=1)], float("inf"), 0)
     assert line.work.results()[-1].verdict is Verdict.NOT_INSPECTED
+
+
+def test_a_panel_whose_end_may_have_been_refused_does_not_pass() -> None:
+    line = Line({"kind": "plc"})
+    line.work.mark([mark(Action.START_PANEL, 0.0, 6), mark(Action.END_PANEL, 0.0, 6)], float("inf"), 0)
+    line.work.mark([replace(mark(Action.START_PANEL, 0.0, 7), mark_refused_after=True)], float("inf"), 0)
+    line.frame()
+    line.work.mark([mark(Action.END_PANEL, 1.0, 7), mark(Action.START_PANEL, 1.0, 8)], float("inf"), 0)
+    line.frame()
+    line.work.mark([mark(Action.END_PANEL, 2.0, 8)], float("inf"), 0)
+    assert [panel.verdict for panel in line.work.results()] == [Verdict.PASS, Verdict.NOT_INSPECTED, Verdict.PASS]
 
 
 def test_nobody_knows_on_which_side_of_the_marks_another_trigger_was_missed() -> None:

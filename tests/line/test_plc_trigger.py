@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from inspector.control import PlcControl
-from inspector.handshake_table import Answer, Command, CommandResult, Control
+from inspector.control import PANEL_MARKS, PlcControl
+from inspector.handshake_table import Action, Answer, Command, CommandResult, Control
 from inspector.model import Snapshot, State, Verdict
 from inspector.publish.plc_server import PlcServer, PlcServerError
 from inspector.publish.registers import CONTROL_ADDRESS, Status
@@ -21,6 +21,7 @@ from tests.line.test_daemon import Bench, bench, reload, shown
 
 __all__ = ["bench", "shown"]
 
+BUSY = 6
 BY_PLC = {"trigger": {"kind": "plc"}, "retry_first_s": 0.05, "retry_longest_s": 0.2}
 
 
@@ -297,3 +298,26 @@ def test_a_trigger_taken_that_can_have_no_cycle_is_counted() -> None:
     server.stop()
     assert (made.trigger_s, read["missed_triggers"]) == (math.inf, 1)
     assert Answer.TRIGGER_MISSED in Answer(read["handshake"])
+
+
+def test_a_panel_mark_that_finds_no_room_is_refused_as_busy_and_its_panel_does_not_pass(
+    control: tuple[PlcControl, PlcServer], caplog: pytest.LogCaptureFixture
+) -> None:
+    """Nobody takes the marks. What the PLC writes beside marks is taken; a mark refused is taken once there is room."""
+    made, server = control
+    with contextlib.closing(Plc(server.port)) as plc:
+        for panel_id in range(1, PANEL_MARKS // 2 + 1):
+            assert plc.write(CONTROL_ADDRESS, Control.PANEL_START, 0, 0, panel_id) == 0
+            assert plc.write(CONTROL_ADDRESS, Control.PANEL_END) == 0
+        assert plc.write(CONTROL_ADDRESS, 0) == 0
+        for bits in (Control.PANEL_END, Control.PANEL_START, Control.PANEL_END | Control.CLEAR_FAULT):
+            assert plc.write(CONTROL_ADDRESS, bits) == BUSY
+            assert plc.read(CONTROL_ADDRESS, 1)["control"] == 0
+        assert plc.write(CONTROL_ADDRESS, Control.CLEAR_FAULT) == 0
+        assert made.take_clear()
+        marks = made.take_panel_marks()
+        assert plc.write(CONTROL_ADDRESS, Control.PANEL_END) == 0
+    assert [mark.panel_id for mark in marks] == sorted(2 * [*range(1, PANEL_MARKS // 2 + 1)])
+    assert [mark.mark_refused_after for mark in marks] == [False] * (PANEL_MARKS - 1) + [True]
+    assert [mark.action for mark in made.take_panel_marks()] == [Action.END_PANEL]
+    assert caplog.text.count("the PLC is answered busy") == 1
