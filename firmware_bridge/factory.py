@@ -22,7 +22,7 @@ from firmware_bridge.drivers.replay_camera import ReplayCamera
 from firmware_bridge.drivers.serial_ccd_camera import Head, SerialCcdCamera
 from firmware_bridge.drivers.simulated_camera import SimulatedCamera
 from firmware_bridge.links.frame_sources import RawSource
-from firmware_bridge.links.modbus_master import ModbusMaster
+from firmware_bridge.links.modbus_master import ModbusMaster, Timed, untimed
 from firmware_bridge.links.ports import Port, open_serial, open_tcp_unit
 from firmware_bridge.links.serial_line import CommandLine
 from firmware_bridge.links.simulated import open_simulated
@@ -44,9 +44,10 @@ class Devices:
     """The digital points of the lamp's module, usable while the lamp is open; None if there is no module."""
 
 
-def build(camera: CameraSettings, module: ModuleSettings, lamp: LampSettings) -> Devices:
-    """The devices that the settings name. Touches nothing."""
-    io = build_module(module, [lamp.channel])
+def build(camera: CameraSettings, module: ModuleSettings, lamp: LampSettings, module_timed: Timed = untimed) -> Devices:
+    """The devices that the settings name; ``module_timed`` is told how long requests to the module take. Touches
+    nothing."""
+    io = build_module(module, [lamp.channel], module_timed)
     bulb = FostecLamp(io, lamp)
     return Devices(build_camera(camera, lambda: bulb.lit_share), bulb, io)
 
@@ -97,19 +98,21 @@ def build_genicam(settings: GenicamCameraSettings, device: str = "camera") -> Ge
     return GenicamCamera(settings.camera, wanted, **deadlines_s, device=device)
 
 
-def build_module(settings: ModuleSettings, channels: Sequence[int] | None = None) -> ModbusModule:
+def build_module(
+    settings: ModuleSettings, channels: Sequence[int] | None = None, timed: Timed = untimed
+) -> ModbusModule:
     """The I/O module that the settings name, for some of its channels (None: all)."""
     simulated = settings.link.kind == "simulated"
     return ModbusModule(
         settings.profile_row,
-        build_master(settings),
+        build_master(settings, timed=timed),
         channels,
         safety=settings.safety,
         simulated=simulated,
     )
 
 
-def build_master(settings: ModuleSettings, device: str = "module") -> ModbusMaster:
+def build_master(settings: ModuleSettings, device: str = "module", timed: Timed = untimed) -> ModbusMaster:
     """The Modbus master for the module that the settings name; ``device`` is what errors call it."""
 
     def open_port() -> Port:
@@ -122,7 +125,7 @@ def build_master(settings: ModuleSettings, device: str = "module") -> ModbusMast
                 return open_simulated(device, settings.profile_row, settings.unit)
 
     rtu = settings.link.kind == "serial" or (settings.link.kind == "simulated" and settings.profile_row.has_serial)
-    return ModbusMaster(device, settings.unit, open_port, rtu=rtu, deadline_s=settings.deadline_s)
+    return ModbusMaster(device, settings.unit, open_port, rtu=rtu, deadline_s=settings.deadline_s, timed=timed)
 
 
 def build_plc_master(host: str, port: int, unit: int, deadline_s: float, device: str = "plc") -> ModbusMaster:

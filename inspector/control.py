@@ -105,6 +105,11 @@ class PlcControl:
             self._step(handshake.ready(self._state, able))
 
     @property
+    def station(self) -> Snapshot:
+        """The station with its newest result, as it is shown to whoever fetches no results one by one. Never waits."""
+        return handshake.station_view(self._state, self._live)
+
+    @property
     def online(self) -> bool:
         """Whether the PLC wants inspections."""
         return self._state.online

@@ -9,8 +9,8 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable
-from contextlib import nullcontext, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,6 +26,7 @@ from inspector.acquire.outage import Outage
 from inspector.acquire.tuning import LightWrong, Tuning
 from inspector.faults import Fault
 from inspector.lifecycle import Event, after
+from inspector.metrics.observed import Levels
 from inspector.model import Frame, FrameResult, Snapshot, Verdict
 from inspector.recipe import Recipe, content_hash
 from inspector.recipe_proof import beyond_camera
@@ -70,7 +71,8 @@ class Turn:
 
 
 class Cycle:
-    """A station's devices at work. ``waiting`` is entered around waits that a stop need not sit out."""
+    """A station's devices at work. ``waiting`` is entered around waits that a stop need not sit out; ``grab_timed`` is
+    told how long each frame was waited for, seconds."""
 
     def __init__(
         self,
@@ -79,9 +81,11 @@ class Cycle:
         inspect: Inspection,
         *,
         waiting: Waiting = nullcontext,
+        grab_timed: Callable[[float], None] = lambda _: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._settings, self._devices, self._inspect, self._clock = settings, devices, inspect, clock
+        self._grab_timed = grab_timed
         camera = FreshFrames(devices.camera)
         self._camera: Keeper[Camera] = Keeper("camera", camera, _retry(settings), waiting=waiting, clock=clock)
         self._lamp: Keeper[Lamp] = Keeper("lamp", devices.lamp, _retry(settings), waiting=waiting, clock=clock)
@@ -105,6 +109,12 @@ class Cycle:
         lamp, level = self._settings.lamp, self._tuning.level
         volts = lamp.volts(level.lamp_percent)
         return Wanted(level.exposure_us, volts, lamp.tolerance_v, self._settings.cycle.exposure_tolerance)
+
+    @property
+    def levels(self) -> Levels:
+        """What lamp and exposure are asked to be now."""
+        level = self._tuning.level
+        return Levels(level.lamp_percent, level.exposure_us, self._lamp.device.burnt_hours())
 
     def resume_s(self, started_s: float) -> float:
         """When the next cycle may begin, after one that began at ``started_s``: now, unless something failed."""
@@ -219,7 +229,7 @@ class Cycle:
     def _inspected(
         self, last: Snapshot, started_s: float, glance: Callable[[], None], wanted: Callable[[], bool]
     ) -> Turn:
-        frame = capture(self._lamp, self._camera, self.wanted, self._waiting)
+        frame = capture(self._lamp, self._camera, self.wanted, self._grabbing)
         self._settle()
         with suppress(BridgeError):  # whoever looks next will see it
             glance()
@@ -233,18 +243,25 @@ class Cycle:
         result = self._inspect(self._tuning.to_inspect(frame))
         self._note(result)
         now_s = self._clock()
-        elapsed_us = (now_s - taken_s) * 1e6
+        result = replace(result, elapsed_us=(now_s - taken_s) * 1e6)
         self._tuning.saw(result)
         last, name = self._with_devices(last), Path(frame.name).name
         if several:
-            result = replace(result, elapsed_us=elapsed_us, highlights=None)
+            result = replace(result, highlights=None)
             shown = snapshots.taken(last, frame, result)
         else:
             self._move_level()
             shown = snapshots.inspected(
-                last, frame, result, snapshots.Times(now_s, elapsed_us, (now_s - started_s) * 1e6)
+                last, frame, result, snapshots.Times(now_s, result.elapsed_us, (now_s - started_s) * 1e6)
             )
         return Turn(shown, name, frame.frame_id, result.reasons_text, frame, result)
+
+    @contextmanager
+    def _grabbing(self) -> Iterator[None]:
+        began_s = self._clock()
+        with self._waiting():
+            yield
+        self._grab_timed(self._clock() - began_s)
 
     def _check_light(self, frame: Frame, taken_s: float) -> None:
         """Raise LightWrong if the frame was not taken in the light that it should be; the lamp is trimmed by it,

@@ -23,6 +23,7 @@ from inspector.cycle import Cycle, described
 from inspector.faults import Fault
 from inspector.handshake_table import Command
 from inspector.lifecycle import Event, after
+from inspector.metrics.observed import Observed
 from inspector.model import Snapshot
 from inspector.outlets import Outlets
 from inspector.panel_work import PanelWork
@@ -70,7 +71,7 @@ class Daemon:
         self._file, self._signals = file, signals
         self._settings, self._settings_recipe_id = recipe_choice.resumed(settings), settings.recipe.id
         self._notifier = notifier or Notifier()
-        self._make_inspection, self._build = inspection, build
+        self._make_inspection, self._build_devices = inspection, build
         self._sequence = SequenceFile(settings.plc.sequence_file)
         self._snapshot = Snapshot(sequence=self._sequence.first, panel_id=self._sequence.first)
         self._control = PlcControl(self._snapshot, signals.wake)
@@ -80,7 +81,8 @@ class Daemon:
             Command.DISCARD_RESULTS: lambda _: self._control.discard_results(),
             Command.RESET_STATISTICS: self._reset_statistics,
         }
-        self._outlets = Outlets(settings, self._control, self._notifier)
+        self._observed = Observed()
+        self._outlets = Outlets(settings, self._control, self._notifier, self._observed)
         self._panels: PanelWork | None = None
         self._spoken_s = -math.inf
 
@@ -113,9 +115,9 @@ class Daemon:
     def _prepare(self, at_end: contextlib.ExitStack) -> None:
         """Make devices and inspection; ``at_end`` is told what to close."""
         settings = self._settings
-        devices = self._build(settings.camera, settings.module, settings.lamp)
+        devices = self._build(settings)
         inspect = self._make_inspection(settings)
-        self._cycle = Cycle(settings, devices, inspect, waiting=self._waiting)
+        self._cycle = Cycle(settings, devices, inspect, waiting=self._waiting, grab_timed=self._observed.grab.add)
         self._history = line_history.LineHistory(settings)
         at_end.callback(self._history.close)
         at_end.callback(self._cycle.close)
@@ -123,6 +125,10 @@ class Daemon:
         self._trigger = self._triggered()
         self._panels = self._panel_work(settings)
         self._show(replace(self._snapshot, simulated=self._cycle.simulated))
+
+    def _build(self, settings: Settings) -> factory.Devices:
+        timed = self._observed.module_request.add
+        return self._build_devices(settings.camera, settings.module, settings.lamp, module_timed=timed)
 
     def _panel_work(self, settings: Settings) -> PanelWork | None:
         return PanelWork.of(settings, lambda channel: self._cycle.read_input(channel), self._missed)
@@ -221,6 +227,8 @@ class Daemon:
             self._keep_ready()
             return
         self._spoken_s = time.monotonic()
+        inspection_us = None if turn.result is None else turn.result.elapsed_us
+        self._observed.turned(self._spoken_s - started_s, inspection_us, self._cycle.levels)
         shown = turn.snapshot
         if one_by_one:
             shown = replace(shown, state=after(shown.state, Event.FINISHED, Event.STOPPED))
@@ -316,6 +324,7 @@ class Daemon:
     def _show(self, snapshot: Snapshot) -> None:
         self._sequence.reached(snapshot.sequence)
         self._control.publish(snapshot)
+        self._observed.show(snapshot)
         self._snapshot = snapshot
         fault = f", fault {snapshot.fault_code}" if snapshot.fault_code else ""
         self._notifier.status(f"{snapshot.state.name}{fault}; registers on port {self.port}")
@@ -334,7 +343,7 @@ class Daemon:
         except (PlcServerError, calibration_file.CalibrationError, OSError) as error:
             log.error("%s", error)
             self._refuse()
-        self._control.publish(self._snapshot)
+        self._show(self._snapshot)
         self._notifier.send("READY=1")
 
     def _refuse(self) -> None:
@@ -346,7 +355,7 @@ class Daemon:
         """Change what differs and nothing else; all that can be refused comes before the first change."""
         old, inspect, panels = self._settings, self._make_inspection(new), self._panel_work(new)
         one_frame, new_hash = line_history.one_frame(new), configuration_hash(new)
-        devices = self._build(new.camera, new.module, new.lamp)
+        devices = self._build(new)
         self._outlets.reach(new, renews_certificates=renews_certificates)
         if self._panels is not None:
             self._panels.interrupted("recipe or settings were changed")

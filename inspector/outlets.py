@@ -7,16 +7,25 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
+from importlib.metadata import version
+from typing import TYPE_CHECKING
 
 from firmware_bridge import factory
 from inspector.control import PlcControl
 from inspector.cycle import longest_silence_s
+from inspector.metrics import process
+from inspector.metrics.observed import Observed
+from inspector.metrics.table import Gauges, Scrape
 from inspector.model import Snapshot
 from inspector.posting import Poster
 from inspector.publish import console
-from inspector.publish.plc_server import PlcServer, PlcServerError
+from inspector.publish.plc_server import PRODUCT, PlcServer, PlcServerError, as_stalled
 from inspector.publish.systemd import Notifier
-from inspector.settings import Settings
+from inspector.settings import Settings, Timed
+
+if TYPE_CHECKING:
+    from inspector.metrics.server import MetricsServer
 
 log = logging.getLogger(__name__)
 
@@ -24,17 +33,22 @@ log = logging.getLogger(__name__)
 class Outlets:
     """The servers of one station. ``control`` is told what the PLC writes, ``notifier`` how long a cycle may take."""
 
-    def __init__(self, settings: Settings, control: PlcControl, notifier: Notifier) -> None:
-        self._settings, self._control, self._notifier = settings, control, notifier
+    def __init__(self, settings: Settings, control: PlcControl, notifier: Notifier, observed: Observed) -> None:
+        self._settings, self._control, self._notifier, self._observed = settings, control, notifier, observed
         self.server = _server(settings, control)
         self._poster: Poster | None = None
         self._turn_to_post = threading.Lock()
+        self._metrics: MetricsServer | None = None
+        self._version = version(PRODUCT)
+        self.gauges: list[Gauges] = []
+        """What other parts offer to be measured; each row is in the table of :mod:`inspector.metrics.table`."""
 
     def start(self, first: Snapshot) -> None:
         """Serve and post, ``first`` before anything else. Raises PlcServerError."""
         self.server.start()
         self._serve()
         self._post_anew(None, first)
+        self._measure_anew(None)
         console.say(console.how_to_poll(self._settings.plc.host, self.server.port))
 
     def reach(self, new: Settings, *, renews_certificates: bool) -> None:
@@ -49,6 +63,7 @@ class Outlets:
         old, self._settings = self._settings, new
         self._serve()
         self._post_anew(old, shown)
+        self._measure_anew(old)
 
     def stop(self) -> None:
         """End, and say in the log what is lost by it."""
@@ -56,6 +71,8 @@ class Outlets:
             log.error("stopped with %d results that the PLC has not taken: they are lost to it", untaken)
         if self._poster and (left := self._poster.stop().undelivered):
             log.error("stopped with %d results that were not posted: they are lost to the PLC", left)
+        if self._metrics:
+            self._metrics.stop()
         self.server.stop()
 
     def _serve_anew(self, new: Settings) -> None:
@@ -110,6 +127,38 @@ class Outlets:
 
     def _is_stalled(self) -> bool:
         return self.server.stalled
+
+    def _measure_anew(self, old: Settings | None) -> None:
+        """Serve measured values as the settings say, if they are not served so already."""
+        metrics = self._settings.metrics
+        if old is not None and metrics == old.metrics:
+            return
+        if self._metrics:
+            self._metrics.stop()
+        self._metrics = None
+        if metrics is not None:
+            from inspector.metrics.server import MetricsServer  # asyncio: stations without this need not wait
+
+            self._metrics = MetricsServer(metrics, self._scrape)
+            self._metrics.start()
+
+    def _scrape(self) -> Scrape:
+        """What is measured, at this moment: everything read here is replaced whole by whoever changes it."""
+        server, poster, trigger = self.server, self._poster, self._settings.cycle.trigger
+        station = self._control.station
+        return Scrape(
+            station=as_stalled(station) if server.stalled else station,
+            observed=self._observed,
+            plc=server.diagnostics,
+            now_s=time.monotonic(),
+            unix_s=time.time(),
+            name=self._settings.station,
+            version=self._version,
+            period_s=1 / trigger.rate_hz if isinstance(trigger, Timed) else None,
+            posting=poster.box if poster else None,
+            process=process.now(),
+            more={name: value for gauges in tuple(self.gauges) for name, value in gauges().items()},
+        )
 
 
 def _server(settings: Settings, control: PlcControl) -> PlcServer:

@@ -77,6 +77,11 @@ class Poster:
         self._started_s = time.monotonic()
         self._thread = threading.Thread(target=self._run, name="post", daemon=True)
 
+    @property
+    def box(self) -> Outbox:
+        """What has not arrived, at this moment."""
+        return self._box
+
     def start(self) -> None:
         """Begin to write. A PLC that is away is said in the log, and tried again."""
         self._thread.start()

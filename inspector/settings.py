@@ -23,6 +23,7 @@ from inspector.acquire.light import LightSettings
 from inspector.calibration_file import CalibrationError
 from inspector.calibration_file import read as read_calibration
 from inspector.judge.spc.settings import StatisticsSettings
+from inspector.metrics.settings import MetricsSettings
 from inspector.panel_settings import PanelSettings
 from inspector.publish.plc_settings import PlcSettings
 from inspector.recipe import Recipe, Strict, find
@@ -148,6 +149,8 @@ class Settings(Strict):
     """What makes a panel of frames; by default each frame is one."""
     light: LightSettings | None = None
     """The reference patch by which the light is kept constant; null: there is none."""
+    metrics: MetricsSettings | None = None
+    """Measured values for Prometheus; null: they are not served."""
     statistics: StatisticsSettings = StatisticsSettings()
     """Statistics of the paint line."""
     statistics_file: Annotated[Path, Field(strict=False)] | None = None

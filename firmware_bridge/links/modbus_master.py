@@ -30,8 +30,17 @@ EXCEPTION_NAMES = {
 """Exception codes of the MODBUS Application Protocol Specification V1.1b3, section 7."""
 
 
+Timed = Callable[[float], None]
+"""Is told how long something took, seconds; it must not wait."""
+
+
+def untimed(_: float) -> None:
+    """Nobody wants to know."""
+
+
 class ModbusMaster:
     """Speaks to one unit over one port, which ``open_port`` opens. ``rtu``: RTU frames; else Modbus TCP.
+    ``timed`` is told of each request, also of one that was not answered.
 
     Requests raise DeviceGone (port missing or closed), NoReply, ReplyWrong (damaged, another unit's or another
     request's) or Refused (a Modbus exception), all within ``deadline_s`` of the call on ``clock``. After the first
@@ -47,8 +56,9 @@ class ModbusMaster:
         rtu: bool,
         deadline_s: float,
         clock: Callable[[], float] = time.monotonic,
+        timed: Timed = untimed,
     ) -> None:
-        self._device, self._unit, self._open_port = device, unit, open_port
+        self._device, self._unit, self._open_port, self._timed = device, unit, open_port, timed
         self._rtu, self._deadline_s, self._clock = rtu, deadline_s, clock
         self._port: Port | None = None
         self._client: DeadlineClient | None = None
@@ -121,6 +131,7 @@ class ModbusMaster:
 
         if self._client is None:
             raise DeviceGone(self._device, "not open", "open it first")
+        began_s = self._clock()
         try:
             yield self._client
         except ModbusException as error:
@@ -132,6 +143,8 @@ class ModbusMaster:
                 f"no answer in {self._deadline_s:g} s, {what} of unit {self._unit}",
                 "check power, unit id, baud rate and wiring",
             ) from error
+        finally:
+            self._timed(self._clock() - began_s)
 
     def _checked(self, reply: ModbusPDU, function: int) -> ModbusPDU:
         """The reply, if it answers ``function``. Raises Refused for an exception, ReplyWrong for another's answer."""

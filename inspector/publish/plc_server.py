@@ -75,6 +75,8 @@ class Diagnostics:
     """How often each exception code was answered."""
     out_of_step: int
     """Stretches of bytes that were no Modbus; over TCP each ended its connection."""
+    stalls: int
+    """How often the cycle has stopped beating."""
     serial_open: bool
     """Whether the serial line is there; False without one."""
 
@@ -112,7 +114,7 @@ class PlcServer:
         self._word_order: WordOrder = word_order
         self._snapshot = Snapshot()
         self._started_s = self._beat_s = time.monotonic()
-        self._stalled = False
+        self._stalled, self._stalls = False, 0
         self._lock = threading.Lock()
         self._published = PublishedImage()
         registers = ServedRegisters(self._published, on_control)
@@ -137,7 +139,7 @@ class PlcServer:
     @property
     def diagnostics(self) -> Diagnostics:
         """What was counted so far."""
-        return _diagnostics(self._clients, (self._slave, self._serial_slave), self._shell)
+        return _diagnostics(self._clients, (self._slave, self._serial_slave), self._shell, self._stalls)
 
     def start(self) -> None:
         """Return once clients are served. Raises :class:`PlcServerError`, and then serves nothing."""
@@ -246,6 +248,7 @@ class PlcServer:
 
     def _note_stall(self, stalled: bool, allowed_s: float) -> None:
         self._stalled = stalled
+        self._stalls += stalled
         if stalled:
             log.error("Inspection cycle has not turned for %g s: the PLC is told", allowed_s)
         else:
@@ -267,7 +270,9 @@ def as_stalled(snapshot: Snapshot) -> Snapshot:
     )
 
 
-def _diagnostics(clients: Clients | None, slaves: Iterable[Slave], shell: SerialShell | None) -> Diagnostics:
+def _diagnostics(
+    clients: Clients | None, slaves: Iterable[Slave], shell: SerialShell | None, stalls: int
+) -> Diagnostics:
     counters = [slave.counters for slave in slaves]
     door = clients.door if clients else Door()
     return Diagnostics(
@@ -282,6 +287,7 @@ def _diagnostics(clients: Clients | None, slaves: Iterable[Slave], shell: Serial
         requests=sum(counter.requests for counter in counters),
         exceptions=dict(sum((Counter(dict(counter.exceptions)) for counter in counters), Counter())),
         out_of_step=sum(counter.errors for counter in counters),
+        stalls=stalls,
         serial_open=shell is not None and shell.is_open,
     )
 

@@ -118,7 +118,7 @@ class Bench:
         self._thread = threading.Thread(target=self.daemon.run, args=(Limits(),), daemon=True)
         self._thread.start()
 
-    def _build(self, *_: Any) -> Devices:
+    def _build(self, *_: Any, **__: Any) -> Devices:
         self.built.append(Devices(self.camera, self.lamp) if not self.built else Devices(FakeCamera(), FakeLamp()))
         return self.built[-1]
 
