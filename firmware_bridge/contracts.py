@@ -18,7 +18,9 @@ class CameraFrame:
     """A frame as the camera gave it: image (H, W) uint8 or uint16; ids rise by the frames the camera took.
 
     ``exposure_us`` is the exposure it was really taken at, None when the source does not know.
-    ``taken_at_s`` is Unix time; ``camera_time_ns`` the camera's own clock, None if it has none.
+    ``taken_at_s`` is Unix time, for records: that clock may be set. ``taken_s`` is the same moment on this machine's
+    monotonic clock, seconds; now, where the source says no better.
+    ``camera_time_ns`` is the camera's own clock, None if it has none.
     ``name`` tells the source (a file's path, a serial number and id).
     """
 
@@ -27,6 +29,7 @@ class CameraFrame:
     name: str
     exposure_us: float | None
     taken_at_s: float
+    taken_s: float
     camera_time_ns: int | None = None
 
 

@@ -100,7 +100,9 @@ class Frame:
     exposure_us: float | None = None
     lamp_v: float | None = None
     taken_at_s: float = 0.0
-    """Unix time of the exposure, seconds."""
+    """Unix time of the exposure, seconds; for records."""
+    taken_s: float = 0.0
+    """The same on the machine's monotonic clock, seconds; for travel."""
 
 
 @dataclass(frozen=True, slots=True)

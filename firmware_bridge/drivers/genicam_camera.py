@@ -8,6 +8,7 @@ from typing import TypeVar
 
 from firmware_bridge.contracts import CameraCapabilities, CameraFrame
 from firmware_bridge.drivers.genicam_features import FREE_RUNNING, SOFTWARE, Wanted, set_up
+from firmware_bridge.drivers.moment import monotonic_s
 from firmware_bridge.errors import BridgeError, DeviceGone, NoReply, NoTrigger, OutOfRange, ReplyWrong
 from firmware_bridge.links.aravis import AravisCamera, Received
 from firmware_bridge.links.worker import Worker
@@ -160,7 +161,8 @@ class GenicamCamera:
         except ImageWrong as error:
             raise ReplyWrong(self._device, f"frame {name} {error}") from error  # its words end in what to do
         taken_at_s = received.arrived_ns / 1e9
-        return CameraFrame(image, self._frame_id, name, self._exposure_us, taken_at_s, received.camera_time_ns or None)
+        taken_s, camera_time_ns = monotonic_s(taken_at_s, self._deadline_s), received.camera_time_ns or None
+        return CameraFrame(image, self._frame_id, name, self._exposure_us, taken_at_s, taken_s, camera_time_ns)
 
     def _count(self, received: Received) -> None:
         """Let the id rise as the camera's own did. Raises ReplyWrong for a frame that came before."""

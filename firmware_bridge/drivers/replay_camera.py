@@ -75,7 +75,7 @@ class ReplayCamera:
         self._pace.wait()
         path = self._next_file()
         self._taken += 1
-        frame_id, taken_at_s = self._taken, time.time()
+        frame_id, taken_at_s, taken_s = self._taken, time.time(), time.monotonic()
         try:
             grey = image.decode(path.read_bytes())
         except OSError as error:
@@ -83,7 +83,8 @@ class ReplayCamera:
         except image.ImageWrong as error:
             raise ReplyWrong(self._device, f"{path} {error}") from error  # its words end in what to do
         self._shape = (grey.shape[0], grey.shape[1])
-        return CameraFrame(grey, frame_id, str(path), self._recorded_us.get(path, self._exposure_us), taken_at_s)
+        exposure_us = self._recorded_us.get(path, self._exposure_us)
+        return CameraFrame(grey, frame_id, str(path), exposure_us, taken_at_s, taken_s)
 
     def _next_file(self) -> Path:
         if self._position >= len(self._files):

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 
 from firmware_bridge.contracts import CameraCapabilities, CameraFrame
+from firmware_bridge.drivers.moment import monotonic_s
 from firmware_bridge.errors import NoReply, NoTrigger, OutOfRange, ReadBackWrong, ReplyWrong
 from firmware_bridge.links.frame_sources import FrameSource
 from firmware_bridge.links.serial_line import CommandLine
@@ -106,7 +107,8 @@ class SerialCcdCamera:
         self._shape = (frame.image.shape[0], frame.image.shape[1])
         taken_at_s = time.time() if frame.taken_at_s is None else frame.taken_at_s
         name = f"{self._source.name}#{self._taken}"
-        return CameraFrame(frame.image, self._taken, name, frame.exposure_us, taken_at_s)
+        taken_s = monotonic_s(taken_at_s, self._deadline_s)
+        return CameraFrame(frame.image, self._taken, name, frame.exposure_us, taken_at_s, taken_s)
 
     def _read(self, until_s: float) -> RawFrame:
         return self._source.read(max(until_s - time.monotonic(), 0.0))

@@ -62,5 +62,7 @@ class SimulatedCamera:
         """See the contract."""
         self._pace.wait()
         self._taken += 1
+        taken_at_s, taken_s = time.time(), time.monotonic()
         image = self._sensor.take(self._exposure_us * self._lit_share())
-        return CameraFrame(image, self._taken, f"drawn#{self._taken}", self._exposure_us, time.time())
+        name = f"drawn#{self._taken}"
+        return CameraFrame(image, self._taken, name, self._exposure_us, taken_at_s, taken_s)

@@ -39,7 +39,7 @@ def capture(lamp: Keeper[Lamp], camera: Keeper[Camera], wanted: Wanted, waiting:
     lamp.use(lambda device: _light(device, wanted))
     taken, exposure_us = camera.use(lambda device: _expose(device, wanted, waiting))
     lamp_v = lamp.use(lambda device: _still_lit(device, wanted))
-    return Frame(taken.image, taken.name, taken.frame_id, exposure_us, lamp_v, taken.taken_at_s)
+    return Frame(taken.image, taken.name, taken.frame_id, exposure_us, lamp_v, taken.taken_at_s, taken.taken_s)
 
 
 def _light(lamp: Lamp, wanted: Wanted) -> None:

@@ -140,10 +140,10 @@ class Panels:
         if panel.first is None:
             panel.first = self._trigger
         if not panel.frames:
-            panel.first_taken_s = frame.taken_at_s
+            panel.first_taken_s = frame.taken_s
         travel_mm = self._travelled_mm(panel, frame)
         if panel.frames and travel_mm < panel.frames[-1].travel_mm:
-            panel.misses("a frame's time lies before that of the one before it: the clock was set")
+            panel.misses("a frame's time lies before that of the one before it")
         panel.frames += (PanelFrame(result, travel_mm),)
         panel.latest_s = now_s
         return done + self._full()
@@ -248,5 +248,5 @@ class Panels:
         """How far the panel has moved since its first place, or its first frame where time says it."""
         travel, per_frame = self._settings.travel, self._mm_per_frame
         if travel is not None and isinstance(travel.by, LineSpeed):
-            return (frame.taken_at_s - panel.first_taken_s) * travel.by.mm_per_s
+            return (frame.taken_s - panel.first_taken_s) * travel.by.mm_per_s
         return 0.0 if per_frame is None or panel.first is None else (self._trigger - panel.first) * per_frame

@@ -30,7 +30,7 @@ class Line:
     def take(self, wanted: bool = True, panel_id: int | None = None) -> None:
         self.now_s += 0.1
         self.frame_id += 1
-        frame = Frame(np.zeros((1, 1), np.uint8), f"frame {self.frame_id}", self.frame_id, taken_at_s=self.now_s)
+        frame = Frame(np.zeros((1, 1), np.uint8), f"frame {self.frame_id}", self.frame_id, taken_s=self.now_s)
         result = FrameResult(frame.name, Verdict.PASS) if wanted and self.panels.wants_frame else None
         self.done += self.panels.took(frame, result, self.missed, self.now_s, panel_id)
 
@@ -130,13 +130,13 @@ def test_with_the_lines_speed_time_says_how_far_it_moved_and_frames_left_out_are
     assert line.shown == [(["frame 1", "frame 7", "frame 8"], [0.0, 60.0, 70.0], True)]
 
 
-def test_a_clock_that_was_set_back_is_told() -> None:
+def test_a_frame_whose_time_goes_back_is_told() -> None:
     line = Line(COUNT, SPEED)
     line.take()
     line.now_s -= 60
     line.take()
     line.take()
-    assert "the clock was set" in line.done[0].missing[0]
+    assert "lies before that of the one before it" in line.done[0].missing[0]
 
 
 def test_a_panel_that_gets_no_more_frames_ends_after_its_time_and_the_count_begins_anew() -> None:

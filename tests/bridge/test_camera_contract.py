@@ -112,6 +112,23 @@ def test_frames_carry_what_they_were_taken_at(camera: Camera) -> None:
     assert all(later.frame_id > earlier.frame_id for earlier, later in itertools.pairwise(frames))
 
 
+@pytest.mark.parametrize("set_by_s", [3600.0, -3600.0])
+def test_a_clock_that_is_set_moves_no_frame_in_time(
+    camera: Camera, set_by_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What tells how far a panel has moved is the monotonic clock; set between two frames, Unix time only says when."""
+    camera.open()
+    camera.set_exposure_us(1000.0)
+    unix_time = time.time
+    before_s = time.monotonic()
+    first = _grabbed(camera)
+    between_s = time.monotonic()
+    monkeypatch.setattr(time, "time", lambda: unix_time() + set_by_s)
+    second = _grabbed(camera)
+    assert before_s - 0.001 <= first.taken_s <= between_s
+    assert between_s <= second.taken_s <= time.monotonic()
+
+
 @pytest.mark.parametrize("outside", [0.0, -5.0, 1e12, float("nan"), float("inf")])
 def test_exposures_outside_the_range_are_refused(camera: Camera, outside: float) -> None:
     camera.open()

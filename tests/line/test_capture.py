@@ -76,7 +76,7 @@ class FakeCamera:
     def grab(self) -> CameraFrame:
         if isinstance(self.taken_us, BridgeError):
             raise self.taken_us
-        return CameraFrame(np.zeros((2, 3), np.uint8), 7, "fake", self.taken_us, 12.0)
+        return CameraFrame(np.zeros((2, 3), np.uint8), 7, "fake", self.taken_us, 12.0, 34.0)
 
 
 class Clock:
@@ -97,7 +97,13 @@ def test_a_frame_says_what_it_was_taken_at(taken_us: float | None) -> None:
     frame = take(FakeLamp([4.0, 4.01]), FakeCamera(set_us=1001.0, taken_us=taken_us))
     assert frame.lamp_v == 4.01
     assert frame.exposure_us == (1001.0 if taken_us is None else taken_us)
-    assert (frame.frame_id, frame.name, frame.taken_at_s, frame.image.shape) == (7, "fake", 12.0, (2, 3))
+    assert (frame.frame_id, frame.name, frame.taken_at_s, frame.taken_s, frame.image.shape) == (
+        7,
+        "fake",
+        12.0,
+        34.0,
+        (2, 3),
+    )
 
 
 @pytest.mark.parametrize(

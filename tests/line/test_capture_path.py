@@ -178,7 +178,7 @@ class Camera:
         light_dn = FULL_LIGHT_DN * self.world.bulb * before_v / 5 * really_us / 1000
         self.world.truth[self.taken] = Truth(self.world.turn, before_v, self.module.output_v, really_us, light_dn)
         image = np.full((3, 4), min(light_dn, 255.0), np.uint8)
-        self.last = CameraFrame(image, self.taken, f"{self.taken}", really_us, self.world.now_s)
+        self.last = CameraFrame(image, self.taken, f"{self.taken}", really_us, self.world.now_s, self.world.now_s)
         return self.last
 
     def _fail(self) -> None:

@@ -7,6 +7,7 @@ import logging
 import re
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -94,7 +95,9 @@ class FakeCamera:
         if isinstance(step, BridgeError):
             raise step
         self.taken = step
-        return CameraFrame(np.zeros((2, 3), np.uint8), self.taken, f"frame {self.taken}", self.exposure_us, 0.0)
+        return CameraFrame(
+            np.zeros((2, 3), np.uint8), self.taken, f"frame {self.taken}", self.exposure_us, 0.0, time.monotonic()
+        )
 
 
 class Bench:

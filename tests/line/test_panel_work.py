@@ -49,7 +49,7 @@ class Line:
         """A cycle: the exposure, a look at the input, the inspection where the frame is of a panel."""
         self.frame_id += 1
         self.work.glance(0)
-        frame = Frame(np.zeros((1, 1), np.uint8), "f", self.frame_id, taken_at_s=self.now_s)
+        frame = Frame(np.zeros((1, 1), np.uint8), "f", self.frame_id, taken_s=self.now_s)
         result = FrameResult("f", Verdict.PASS) if self.work.wants_frame() else None
         self.work.took(Turn(Snapshot(), frame_id=self.frame_id, frame=frame, result=result), 0, 0)
 

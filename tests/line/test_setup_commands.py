@@ -182,7 +182,7 @@ class Scene:
         drawing = Drawing(panel_dn=2.0 * light)
         image = drawing.draw(SPOTS, np.array([1.0, 0.6]) * self.peak_dn * light)
         image[20:60, 500:540] = min(3 + 200 * light, 255)
-        return CameraFrame(image, self.taken, f"{self.taken}", self.exposure_us, 0.0)
+        return CameraFrame(image, self.taken, f"{self.taken}", self.exposure_us, 0.0, 0.0)
 
     def build(self, *_: Any) -> factory.Devices:
         return factory.Devices(self, self)

@@ -63,7 +63,7 @@ class Scene:
 
     def grab(self) -> CameraFrame:
         self.taken += 1
-        return CameraFrame(self._image(), self.taken, f"{self.taken}", self.exposure_us, 0.0)
+        return CameraFrame(self._image(), self.taken, f"{self.taken}", self.exposure_us, 0.0, 0.0)
 
     def _image(self) -> Image:
         light = self.bulb * self.volts / 4 * self.exposure_us / 1000
