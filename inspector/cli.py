@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from inspector.cli_recipes import recipe_app
+from inspector.cli_sessions import Method, sessions_app
 
 app = typer.Typer(
     name="inspector",
@@ -24,6 +25,7 @@ app.add_typer(io_app, name="io")
 lamp_app = typer.Typer(help="The lamp: its curve.", no_args_is_help=True)
 app.add_typer(lamp_app, name="lamp")
 app.add_typer(recipe_app, name="recipe")
+app.add_typer(sessions_app)
 simulate_app = typer.Typer(help="Simulated devices, to try PLC and settings without hardware.", no_args_is_help=True)
 app.add_typer(simulate_app, name="simulate-device")
 
@@ -43,13 +45,6 @@ class ResultFormat(enum.StrEnum):
     JSONL = "jsonl"
     CSV = "csv"
     TABLE = "table"
-
-
-class Method(enum.StrEnum):
-    """How heights are computed."""
-
-    EXACT = "exact"
-    THESIS = "thesis"
 
 
 class PageFormat(enum.StrEnum):

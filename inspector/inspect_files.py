@@ -9,17 +9,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from inspector import calibration_file, imagefile, pipeline, result_text, yaml_document
+from inspector import calibration_file, imagefile, pipeline, result_text
+from inspector.change_options import Unusable, recipe_of
 from inspector.model import Frame, FrameResult, Image, Reason, Verdict
 from inspector.pipeline import Station
 from inspector.recipe import Recipe
 
 ALL_INSPECTED, SOME_NOT_INSPECTED, NOTHING_DONE = 0, 1, 2
 """Exit statuses."""
-
-
-class Unusable(Exception):
-    """Calibration, recipe or output folder cannot be used, so that no frame can be inspected."""
 
 
 def run(
@@ -105,18 +102,9 @@ class Pictures:
 
 def _station(calibration: Path, recipe: Path | None, method: str | None) -> Station:
     try:
-        station = Station(calibration_file.read(calibration), _recipe(recipe))
+        station = Station(calibration_file.read(calibration), recipe_of(recipe) if recipe else Recipe())
     except calibration_file.CalibrationError as error:
         raise Unusable(str(error)) from error
     if method is None:
         return station
     return replace(station, recipe=station.recipe.model_copy(update={"method": method}))
-
-
-def _recipe(path: Path | None) -> Recipe:
-    if path is None:
-        return Recipe()
-    recipe, problems = yaml_document.validate(yaml_document.read(path), Recipe)
-    if recipe is None or problems:
-        raise Unusable("\n".join([f"{path} is not a recipe:", *map(str, problems)]))
-    return recipe

@@ -80,7 +80,7 @@ class SettingsVersion:
             raise self._not_known(key, error) from error
 
     def _not_known(self, key: str, error: Exception) -> VersionWrong:
-        what = f"settings {self.name}: {key} is not one of this program's: {error}"
+        what = f"settings {self.name}: {key} is not one of this program's: {' '.join(str(error).split())}"
         return VersionWrong(f"{what}; replay them with the program that wrote them")
 
     def as_json(self) -> str:

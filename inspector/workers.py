@@ -1,0 +1,95 @@
+"""Work shared among this machine's cores, each a process; a process that dies costs what it was at, done once more."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import TypeVar
+
+Task = TypeVar("Task")
+Made = TypeVar("Made")
+
+TRIES = 3
+"""So often in a row may all of the work be lost with a process before it is given up."""
+
+
+class WorkersDied(RuntimeError):
+    """Processes died again and again; the message says what may be behind it."""
+
+
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def share(work: Callable[[Task], Made], tasks: Sequence[tuple[int, Task]], jobs: int) -> Iterator[tuple[int, Made]]:
+    """What ``work`` makes of each numbered task, as soon as it is there, in any order. ``work`` must be picklable.
+
+    Raises WorkersDied, and what ``work`` raises.
+    """
+    if jobs == 1 or len(tasks) < 2:
+        _begin()
+        for number, task in tasks:
+            yield number, work(task)
+        return
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([getattr(work, "func", work).__module__])
+    left, tries = dict(tasks), 0
+    while left:
+        before = len(left)
+        with ProcessPoolExecutor(min(jobs, len(left)), context, _begin_process) as pool:
+            futures = {pool.submit(work, task): number for number, task in left.items()}
+            try:
+                for number, made in _done(futures):
+                    del left[number]
+                    yield number, made
+            except BrokenProcessPool as error:
+                tries = tries + 1 if len(left) == before else 0
+                if tries == TRIES:
+                    raise WorkersDied(DIED) from error
+            finally:
+                pool.shutdown(wait=False, cancel_futures=True)
+
+
+DIED = "processes die at their work: see the kernel's log for out of memory, try fewer (--jobs)"
+
+
+def _done(futures: dict[Future[Made], int]) -> Iterator[tuple[int, Made]]:
+    for future in as_completed(futures):
+        yield futures.pop(future), future.result()
+
+
+def _begin_process() -> None:
+    """Ctrl-C is for the one that shares the work out."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _begin()
+
+
+def _begin() -> None:
+    """One thread in each process: they are as many as the cores already."""
+    import cv2
+
+    cv2.setNumThreads(1)
+
+
+@contextmanager
+def progress(what: str, parts: int, count: int, done: int) -> Iterator[Callable[[int], None]]:
+    """A bar on stderr, where that is a terminal; ``count`` of ``what`` in ``done`` parts are there already. Call what
+    this gives with the count of each further part."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (BarColumn(), TextColumn("{task.percentage:.0f} %  {task.fields[count]} " + what), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=parts, completed=done, count=count)
+
+        def advance(further: int) -> None:
+            bar.update(task, advance=1, count=bar.tasks[0].fields["count"] + further)
+
+        yield advance
