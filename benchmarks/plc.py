@@ -17,16 +17,14 @@ import contextlib
 import itertools
 import os
 import platform
-import socket
 import statistics
-import struct
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
-import yaml
+from station import ROOT, cpu_s, free_port, memory_mib, registers, settings_file
 
 from inspector import imagefile, snapshots
 from inspector.daemon import inspection_of
@@ -34,7 +32,6 @@ from inspector.model import Frame, Snapshot
 from inspector.publish.plc_server import PlcServer
 from inspector.settings import load
 
-ROOT = Path(__file__).parents[1]
 FRAMES_HZ = 50
 START_S = 60.0
 PAUSE_US = 1000
@@ -51,24 +48,6 @@ def compiled(name: str, folder: Path) -> str:
     return str(program)
 
 
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return int(listener.getsockname()[1])
-
-
-def settings_file(folder: Path) -> tuple[Path, int]:
-    """Settings of the demo's station, triggered by hand, and its port."""
-    settings = yaml.safe_load((ROOT / "config" / "demo.yaml").read_text())
-    settings["calibration"] = str(ROOT / "config" / settings["calibration"])
-    settings["camera"]["paths"] = [str(ROOT / "config" / "frames")]
-    settings["cycle"] = {"trigger": {"kind": "by_hand"}}
-    port = free_port()
-    settings["plc"]["port"] = port
-    file = folder / f"{port}.yaml"
-    file.write_text(yaml.safe_dump(settings))
-    return file, port
-
-
 def started(command: list[str], port: int, stack: contextlib.ExitStack) -> str:
     """Start a station; how long it took until a register was answered, and the memory it then had."""
     started_s = time.monotonic()
@@ -78,11 +57,11 @@ def started(command: list[str], port: int, stack: contextlib.ExitStack) -> str:
     while time.monotonic() < started_s + START_S:
         with contextlib.suppress(OSError):
             sequence(port)
-            took_s, used = time.monotonic() - started_s, Path(f"/proc/{process.pid}/stat").read_text().split()
-            cpu_s = (int(used[13]) + int(used[14])) / os.sysconf("SC_CLK_TCK")
-            pages = int(Path(f"/proc/{process.pid}/statm").read_text().split()[1])
-            resident = pages * os.sysconf("SC_PAGE_SIZE") / 2**20
-            return f"first register answered after {took_s:.2f} s, of which {cpu_s:.2f} s at work; {resident:.0f} MiB"
+            took_s = time.monotonic() - started_s
+            return (
+                f"first register answered after {took_s:.2f} s, of which {cpu_s(process.pid):.2f} s at work; "
+                f"{memory_mib(process.pid):.0f} MiB"
+            )
         time.sleep(0.005)
     raise SystemExit(f"{command}: no answer on port {port} in {START_S:g} s")
 
@@ -109,15 +88,8 @@ def inspect_for_ever(file: Path) -> None:
 
 def sequence(port: int) -> int:
     """The 32-bit number of the last result."""
-    with socket.create_connection(("127.0.0.1", port), timeout=5) as client:
-        client.sendall(struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 42, 2))
-        answer = b""
-        while len(answer) < 13:
-            piece = client.recv(100)
-            if not piece:
-                raise ConnectionResetError
-            answer += piece
-        return int.from_bytes(answer[9:13], "big")
+    high, low = registers(port, 42, 2)
+    return high << 16 | low
 
 
 def measured(reader: str, port: int, reads: int, pause_us: int) -> tuple[float, float, float, float]:
@@ -145,10 +117,10 @@ def main() -> None:
         stack.callback(libmodbus.kill)
         assert libmodbus.stdout
         libmodbus.stdout.readline()
-        file, idle_port = settings_file(folder)
+        file, idle_port = settings_file(folder, cycle={"trigger": {"kind": "by_hand"}})
         inspector = str(Path(sys.executable).with_name("inspector"))
         idle = started([inspector, "run", "--config", str(file)], idle_port, stack)
-        file, busy_port = settings_file(folder)
+        file, busy_port = settings_file(folder, cycle={"trigger": {"kind": "by_hand"}})
         started([sys.executable, __file__, "--inspect", str(file)], busy_port, stack)
         rows = {
             "libmodbus": (port, 0),

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, PositiveFloat, ValidationInfo, field_validator, model_validator
 
-from firmware_bridge.settings import Strict
+from firmware_bridge.strict import Strict
 from firmware_bridge.wire.ccd_dialects import DIALECTS, Dialect
 from firmware_bridge.wire.raw_frames import RawFormat
 

@@ -8,8 +8,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    ConfigDict,
     Field,
     PositiveFloat,
     ValidationInfo,
@@ -17,17 +15,10 @@ from pydantic import (
     field_validator,
 )
 
+from firmware_bridge.strict import Strict
 from firmware_bridge.wire import lamp_curve
 from firmware_bridge.wire.module_setup import Safety, most_requests
 from firmware_bridge.wire.profiles import PROFILES, Profile
-
-
-class Strict(BaseModel):
-    """Base of every settings model: unknown keys and silent conversions are errors; instances do not change."""
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
 
 
 def _known_profile(name: str) -> str:

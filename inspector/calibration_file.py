@@ -14,9 +14,9 @@ import yaml
 from pydantic import ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError, field_validator, model_validator
 
 from firmware_bridge import whole_file
+from firmware_bridge.strict import Strict
 from inspector import optics, yaml_document
 from inspector.model import FloatArray
-from inspector.recipe import Strict
 
 ROTATION_ROUNDING = 1e-5
 """How far R R^T may be from the unit matrix: entries of six decimals give 2e-6."""
@@ -231,7 +231,7 @@ class CalibrationFile(_Finite):
     """Where the lamp is."""
     view_angle_deg: float | None = Field(None, gt=0, lt=90)
     """Nominal view angle beta that the thesis' method uses, degrees; null: the camera's own."""
-    sensor: SensorEntry = SensorEntry()
+    sensor: SensorEntry = SensorEntry.default()
     """How light becomes grey values."""
     """How grey values follow from light."""
     height_gain: PositiveFloat = 1.0

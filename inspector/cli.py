@@ -198,7 +198,7 @@ def run(
     """
     from inspector import serve
 
-    raise typer.Exit(serve.run(config, serve.Limits(panels, duration_s)))
+    raise typer.Exit(serve.run(config, panels, duration_s))
 
 
 @app.command()

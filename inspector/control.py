@@ -13,13 +13,13 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from firmware_bridge.wire.modbus import DeviceBusy, IllegalValue
 from inspector import handshake
 from inspector.handshake import PANEL_ORDERS, ControlBlock, Handshake, Order
 from inspector.handshake_table import Action, CommandResult, Step
 from inspector.model import Snapshot
-from inspector.posting import Poster
 from inspector.publish.plc_server import PlcServer
 from inspector.publish.registers import (
     CONTROL_ADDRESS,
@@ -29,6 +29,9 @@ from inspector.publish.registers import (
     decode_control,
     decode_operator,
 )
+
+if TYPE_CHECKING:
+    from inspector.posting import Poster
 
 log = logging.getLogger(__name__)
 

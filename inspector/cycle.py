@@ -25,10 +25,9 @@ from inspector.acquire.keeper import Keeper, Retry, Waiting
 from inspector.acquire.outage import Outage
 from inspector.acquire.tuning import LightWrong, Tuning
 from inspector.faults import Fault
-from inspector.lifecycle import Event, after
 from inspector.metrics.observed import Levels
 from inspector.model import Frame, FrameResult, Snapshot, Verdict
-from inspector.recipe import Recipe, content_hash
+from inspector.recipe import Recipe
 from inspector.recipe_proof import beyond_camera
 from inspector.settings import Settings, SettingsError
 from inspector.stages import Inspection
@@ -38,11 +37,6 @@ log = logging.getLogger(__name__)
 
 OUTAGE_CYCLE_S = 0.5
 """A free-running cycle without its devices comes round this often at least, so that what is shown stays true."""
-
-STALL_MARGIN_S = 1.5
-"""What a cycle may take beyond its devices' deadlines before the PLC is told that it has stalled."""
-LAMP_REQUESTS = 4
-"""Requests to the lamp's module around a frame: write and read back, read after the grab, and 0 V when that fails."""
 
 
 def _nothing() -> None:
@@ -314,25 +308,5 @@ class Cycle:
         return replace(last, lamp_ok=self._lamp.works, camera_ok=self._camera.works, lamp_weak=self._weak)
 
 
-def longest_silence_s(settings: Settings) -> float:
-    """How long a cycle may be silent: the longest step around which it waits, opening the module or taking a frame."""
-    module = settings.module
-    frame_s = settings.camera.slowest_s + LAMP_REQUESTS * module.deadline_s
-    return max(frame_s, module.opening_s) + STALL_MARGIN_S
-
-
 def _retry(settings: Settings) -> Retry:
     return Retry(settings.cycle.retry_first_s, settings.cycle.retry_longest_s)
-
-
-def described(snapshot: Snapshot, settings: Settings, settings_hash: int, *events: Event) -> Snapshot:
-    """The snapshot with what it says of the settings brought up to date. ``settings_hash`` is theirs, and of the
-    calibration file (:func:`inspector.settings.configuration_hash`)."""
-    return replace(
-        snapshot,
-        state=after(snapshot.state, *events),
-        recipe_id=settings.recipe.id,
-        recipe_hash=content_hash(settings.recipe),
-        lamp_set_v=settings.lamp.volts(settings.recipe.lamp_percent),
-        configuration_hash=settings_hash,
-    )

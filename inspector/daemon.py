@@ -1,4 +1,4 @@
-"""The service: registers served from the first moment, then for each trigger one cycle and one published result.
+"""The service behind its registers (:mod:`inspector.front`): for each trigger one cycle and one published result.
 
 The cycle (:mod:`inspector.cycle`) runs in the main thread, and that is all that feeds the watchdogs: the PLC's,
 systemd's and, while the station waits, the I/O module's. The service ends only when it is asked to.
@@ -18,20 +18,16 @@ from firmware_bridge import factory
 from firmware_bridge.errors import BridgeError, NoTrigger
 from inspector import calibration_file, line_history, pace, recipe_choice, snapshots
 from inspector.acquire.trigger import Trigger
-from inspector.control import PlcControl
-from inspector.cycle import Cycle, described
+from inspector.cycle import Cycle
 from inspector.faults import Fault
+from inspector.front import Front, described, log_problems
 from inspector.handshake_table import Command
 from inspector.lifecycle import Event, after
-from inspector.metrics.observed import Observed
 from inspector.model import Snapshot
-from inspector.outlets import Outlets
 from inspector.panel_work import PanelWork
 from inspector.plc_commands import carried_out
 from inspector.publish import console
 from inspector.publish.plc_server import PlcServerError
-from inspector.publish.systemd import Notifier
-from inspector.sequence_file import SequenceFile
 from inspector.settings import Settings, SettingsError, configuration_hash, load, with_recipe
 from inspector.signals import Signals, StopRequested
 from inspector.stages import Inspection, inspection_of
@@ -56,50 +52,42 @@ class Limits:
 
 
 class Daemon:
-    """One station at work. ``inspection`` and ``build`` are what makes the inspection and the devices of settings."""
+    """One station at work, behind its ``front``, which serves already. ``inspection`` and ``build`` make the inspection
+    and the devices of settings."""
 
     def __init__(
         self,
         file: Path,
-        settings: Settings,
+        front: Front,
         signals: Signals,
         *,
-        notifier: Notifier | None = None,
         inspection: Callable[[Settings], Inspection] = inspection_of,
         build: Callable[..., factory.Devices] = factory.build,
     ) -> None:
-        self._file, self._signals = file, signals
-        self._settings, self._settings_recipe_id = recipe_choice.resumed(settings), settings.recipe.id
-        self._notifier = notifier or Notifier()
+        self._file, self._front, self._signals = file, front, signals
+        self._settings, self._settings_recipe_id = front.settings, front.settings_recipe_id
+        self._notifier, self._snapshot = front.notifier, front.snapshot
         self._make_inspection, self._build_devices = inspection, build
-        self._sequence = SequenceFile(settings.plc.sequence_file)
-        self._snapshot = Snapshot(sequence=self._sequence.first, panel_id=self._sequence.first)
-        self._control = PlcControl(self._snapshot, signals.wake)
+        self._sequence, self._control, self._outlets = front.sequence, front.control, front.outlets
+        self._observed = front.observed
         self._online = self._control.online
         self._handlers: dict[Command, Callable[[int], None]] = {
             Command.CHANGE_RECIPE: self._change_recipe,
             Command.DISCARD_RESULTS: lambda _: self._control.discard_results(),
             Command.RESET_STATISTICS: self._reset_statistics,
         }
-        self._observed = Observed()
-        self._outlets = Outlets(settings, self._control, self._notifier, self._observed)
         self._panels: PanelWork | None = None
         self._spoken_s = -math.inf
 
     @property
     def port(self) -> int:
         """The TCP port of the registers."""
-        return self._outlets.server.port
+        return self._front.port
 
     @property
     def stall_after_s(self) -> float:
         """How long the cycle may be silent before the PLC is told, seconds."""
         return self._outlets.server.stall_after_s
-
-    def start(self) -> None:
-        """Serve the registers, before anything else is done. Raises PlcServerError."""
-        self._outlets.start(self._snapshot)
-        self._show(described(self._snapshot, self._settings, configuration_hash(self._settings), Event.CONFIGURED))
 
     def run(self, limits: Limits) -> None:
         """Inspect until asked to stop or a limit is reached; the lamp is then at 0 V."""
@@ -322,12 +310,8 @@ class Daemon:
             self._show(snapshot)
 
     def _show(self, snapshot: Snapshot) -> None:
-        self._sequence.reached(snapshot.sequence)
-        self._control.publish(snapshot)
-        self._observed.show(snapshot)
+        self._front.show(snapshot)
         self._snapshot = snapshot
-        fault = f", fault {snapshot.fault_code}" if snapshot.fault_code else ""
-        self._notifier.status(f"{snapshot.state.name}{fault}; registers on port {self.port}")
 
     def _reload(self) -> None:
         """Take over the settings file if it is right; else say what is wrong and go on as before."""
@@ -384,9 +368,3 @@ class Daemon:
         self._outlets.stop()
         self._sequence.ends(self._snapshot.sequence)
         log.info("stopped")
-
-
-def log_problems(error: SettingsError) -> None:
-    """Say everything that is wrong with refused settings."""
-    for problem in error.problems:
-        log.error("settings refused: %s", problem)

@@ -18,9 +18,9 @@ from pydantic import Field
 
 from firmware_bridge import whole_file
 from firmware_bridge.settings import LevelVolts
+from firmware_bridge.strict import Strict
 from firmware_bridge.wire import lamp_curve
 from inspector import yaml_document
-from inspector.recipe import Strict
 from inspector.yaml_document import Document
 
 Sample = tuple[LevelVolts, float]

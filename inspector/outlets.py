@@ -11,14 +11,9 @@ import time
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
-from firmware_bridge import factory
 from inspector.control import PlcControl
-from inspector.cycle import longest_silence_s
-from inspector.metrics import process
 from inspector.metrics.observed import Observed
-from inspector.metrics.table import Gauges, Scrape
 from inspector.model import Snapshot
-from inspector.posting import Poster
 from inspector.publish import console
 from inspector.publish.plc_server import PRODUCT, PlcServer, PlcServerError, as_stalled
 from inspector.publish.systemd import Notifier
@@ -26,8 +21,15 @@ from inspector.settings import Settings, Timed
 
 if TYPE_CHECKING:
     from inspector.metrics.server import MetricsServer
+    from inspector.metrics.table import Gauges, Scrape
+    from inspector.posting import Poster
 
 log = logging.getLogger(__name__)
+
+STALL_MARGIN_S = 1.5
+"""What a cycle may take beyond its devices' deadlines before the PLC is told that it has stalled."""
+LAMP_REQUESTS = 4
+"""Requests to the lamp's module around a frame: write and read back, read after the grab, and 0 V when that fails."""
 
 
 class Outlets:
@@ -111,6 +113,9 @@ class Outlets:
         left = self._poster.stop() if self._poster else None
         self._poster = None
         if plc.post is not None:
+            from firmware_bridge import factory  # only stations that post pay for it, before registers are served
+            from inspector.posting import Poster
+
             master = factory.build_plc_master(plc.post.host, plc.post.port, plc.post.unit, plc.post.deadline_s)
             self._poster = Poster(
                 plc.post,
@@ -144,6 +149,9 @@ class Outlets:
 
     def _scrape(self) -> Scrape:
         """What is measured, at this moment: everything read here is replaced whole by whoever changes it."""
+        from inspector.metrics import process
+        from inspector.metrics.table import Scrape
+
         server, poster, trigger = self.server, self._poster, self._settings.cycle.trigger
         station = self._control.station
         return Scrape(
@@ -168,3 +176,10 @@ def _server(settings: Settings, control: PlcControl) -> PlcServer:
         name=settings.station,
         **settings.plc.served,
     )
+
+
+def longest_silence_s(settings: Settings) -> float:
+    """How long a cycle may be silent: the longest step around which it waits, opening the module or taking a frame."""
+    module = settings.module
+    frame_s = settings.camera.slowest_s + LAMP_REQUESTS * module.deadline_s
+    return max(frame_s, module.opening_s) + STALL_MARGIN_S

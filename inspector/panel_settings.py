@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from inspector.recipe import Rectangle, Strict
+from firmware_bridge.strict import Strict
+from inspector.recipe import Rectangle
 
 
 class EachFrame(Strict):
@@ -128,7 +129,9 @@ class SameSeed(Strict):
 class PanelSettings(Strict):
     """Which frames make a panel, how it travels, and when it has been seen whole."""
 
-    frames: Annotated[EachFrame | ByCount | ByInput | ByPlcMarks | ByLength, Field(discriminator="kind")] = EachFrame()
+    frames: Annotated[EachFrame | ByCount | ByInput | ByPlcMarks | ByLength, Field(discriminator="kind")] = (
+        EachFrame.default()
+    )
     """What makes frames a panel."""
     travel: Travel | None = None
     """How the panel moves from frame to frame; needed wherever a panel has several frames."""
@@ -139,7 +142,7 @@ class PanelSettings(Strict):
     """A panel of fewer frames is not a PASS; where frames are counted, their count holds."""
     timeout_s: PositiveFloat = Field(30.0, le=3600)
     """A panel without a frame or its end for so long is ended, and is not a PASS, seconds."""
-    same_seed: SameSeed = SameSeed()
+    same_seed: SameSeed = SameSeed.default()
     """When two frames show the same seed."""
 
     @property

@@ -10,15 +10,9 @@ import json
 from collections.abc import Iterable
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-
-class Strict(BaseModel):
-    """Base of every settings model: unknown keys and silent conversions are errors; instances do not change."""
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
+from firmware_bridge.strict import Strict
 
 
 class Detection(Strict):
@@ -138,9 +132,9 @@ class Recipe(Strict):
     """Ranges within which exposure and lamp level follow the spots, beginning with the two above; null: they stay."""
     method: Literal["exact", "thesis"] = "exact"
     """How heights are computed: exact (the product's model) or thesis (the 2004 formula)."""
-    detection: Detection = Detection()
+    detection: Detection = Detection.default()
     """How highlights are found."""
-    limits: Limits = Limits()
+    limits: Limits = Limits.default()
     """When a panel fails."""
 
     @model_validator(mode="after")

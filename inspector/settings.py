@@ -18,6 +18,7 @@ from pydantic import ConfigDict, Field, PositiveFloat
 
 from firmware_bridge import settings as bridge
 from firmware_bridge.camera_settings import CameraSettings
+from firmware_bridge.strict import Strict
 from inspector import lamp_curve_file, panel_proof, recipe_folder, recipe_proof, yaml_document
 from inspector.acquire.light import LightSettings
 from inspector.calibration_file import CalibrationError
@@ -26,7 +27,7 @@ from inspector.judge.spc.settings import StatisticsSettings
 from inspector.metrics.settings import MetricsSettings
 from inspector.panel_settings import PanelSettings
 from inspector.publish.plc_settings import PlcSettings
-from inspector.recipe import Recipe, Strict, find
+from inspector.recipe import Recipe, find
 from inspector.yaml_document import Document, Place, Problem
 
 
@@ -95,7 +96,7 @@ class CycleSettings(Strict):
 
     trigger: Annotated[
         FreeRunning | Timed | DigitalInput | HardwareLine | ByHand | ByPlc, Field(discriminator="kind")
-    ] = FreeRunning()
+    ] = FreeRunning.default()
     """What begins a cycle; what comes while a cycle runs is counted as missed, and not made up for."""
     late_after_s: PositiveFloat = 0.05
     """A cycle that begins so long after its trigger is counted as late, seconds; it is inspected all the same."""
@@ -131,11 +132,11 @@ class Settings(Strict):
     """Where frames come from."""
     module: bridge.ModuleSettings
     """The I/O module that sets the lamp's level."""
-    lamp: bridge.LampSettings = bridge.LampSettings()
+    lamp: bridge.LampSettings = bridge.LampSettings.default()
     """The lamp."""
-    plc: PlcSettings = PlcSettings()
+    plc: PlcSettings = PlcSettings.default()
     """What the PLC polls."""
-    recipe: Recipe = Field(Recipe(), json_schema_extra=_or_file)
+    recipe: Recipe = Field(Recipe.default(), json_schema_extra=_or_file)
     """What the paint colour and part type decide; in place, or the name of a file that has it; where `recipes` are
     given, the id or name of one of them."""
     recipes: tuple[Recipe, ...] = Field((), strict=False, json_schema_extra=_or_folder)
@@ -143,15 +144,15 @@ class Settings(Strict):
     place."""
     recipe_choice_file: Annotated[Path, Field(strict=False)] | None = None
     """File in which the PLC's last choice of a recipe is kept over restarts; null: `recipe` holds after each."""
-    cycle: CycleSettings = CycleSettings()
+    cycle: CycleSettings = CycleSettings.default()
     """The inspection cycle."""
-    panel: PanelSettings = PanelSettings()
+    panel: PanelSettings = PanelSettings.default()
     """What makes a panel of frames; by default each frame is one."""
     light: LightSettings | None = None
     """The reference patch by which the light is kept constant; null: there is none."""
     metrics: MetricsSettings | None = None
     """Measured values for Prometheus; null: they are not served."""
-    statistics: StatisticsSettings = StatisticsSettings()
+    statistics: StatisticsSettings = StatisticsSettings.default()
     """Statistics of the paint line."""
     statistics_file: Annotated[Path, Field(strict=False)] | None = None
     """File in which the statistics are kept over restarts; null: they begin anew with each."""
@@ -177,7 +178,7 @@ class DeviceSettings(Strict):
 
     module: bridge.ModuleSettings
     """The I/O module that sets the lamp's level."""
-    lamp: bridge.LampSettings = bridge.LampSettings()
+    lamp: bridge.LampSettings = bridge.LampSettings.default()
     """The lamp."""
 
 

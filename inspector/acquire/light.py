@@ -12,9 +12,9 @@ from typing import Self
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
+from firmware_bridge.strict import Strict
 from inspector.faults import Fault
 from inspector.model import Image
-from inspector.recipe import Strict
 
 SETTLED = 0.002
 """A patch within this share of its target is left alone: the level's own steps are of this size."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from firmware_bridge.strict import Strict
 from inspector.publish.plc_access import LOOPBACK
 from inspector.publish.plc_settings import Network
-from inspector.recipe import Strict
 
 
 class MetricsSettings(Strict):

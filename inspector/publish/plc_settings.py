@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, PositiveFloat, model_validator
 
+from firmware_bridge.strict import Strict
 from inspector.publish.plc_access import LOOPBACK
 from inspector.publish.registers import RESULT_WORDS
-from inspector.recipe import Strict
 
 
 def _network(text: str) -> str:

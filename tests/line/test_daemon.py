@@ -20,6 +20,7 @@ from firmware_bridge.factory import Devices
 from inspector.calibration_file import CalibrationError
 from inspector.daemon import Daemon, Limits
 from inspector.faults import Fault
+from inspector.front import Front
 from inspector.model import Frame, FrameResult, Reason, State, Verdict
 from inspector.publish.registers import Status
 from inspector.publish.systemd import Notifier
@@ -100,6 +101,13 @@ class FakeCamera:
         )
 
 
+def front_of(station: Any, signals: Signals) -> Front:
+    """The station's registers, served."""
+    front = Front(load(station.file), signals, Notifier({}))
+    front.start()
+    return front
+
+
 class Bench:
     """A daemon in a thread, its fakes, and the verdicts it is to find: ``verdicts[frame id]``, else PASS."""
 
@@ -110,14 +118,8 @@ class Bench:
         self.says: dict[int, Any] = {}
         self.refuses = False
         self.daemon = Daemon(
-            station.file,
-            load(station.file),
-            self.signals,
-            notifier=Notifier({}),
-            inspection=self._inspection,
-            build=self._build,
+            station.file, front_of(station, self.signals), self.signals, inspection=self._inspection, build=self._build
         )
-        self.daemon.start()
         self._thread = threading.Thread(target=self.daemon.run, args=(Limits(),), daemon=True)
         self._thread.start()
 
@@ -319,8 +321,8 @@ def test_an_error_while_the_station_gets_ready_is_not_hidden_by_the_farewell(
         raise ZeroDivisionError("a bug")
 
     monkeypatch.setattr(Daemon, "_triggered", fails)
-    daemon = Daemon(station.file, load(station.file), Signals(), notifier=Notifier({}))
-    daemon.start()
+    signals = Signals()
+    daemon = Daemon(station.file, front_of(station, signals), signals)
     with pytest.raises(ZeroDivisionError):
         daemon.run(Limits())
 
@@ -391,8 +393,7 @@ def test_limits_and_a_stop_end_a_run(station: Any) -> None:
     signals.wait(1000)
     with pytest.raises(StopRequested), signals.interruptible():
         pytest.fail("a stop that came before is not forgotten")
-    daemon = Daemon(station.file, load(station.file), signals, notifier=Notifier({}))
-    daemon.start()
+    daemon = Daemon(station.file, front_of(station, signals), signals)
     daemon.run(Limits())
     with pytest.raises(OSError, match=re.compile("refused", re.IGNORECASE)):
         socket.create_connection(("127.0.0.1", daemon.port), timeout=5)

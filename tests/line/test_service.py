@@ -325,12 +325,6 @@ def test_a_terminal_that_goes_away_is_no_fault(
     assert server.module.output_v(0) == 0.0
 
 
-def test_what_must_wait_for_nothing_imports_nothing_heavy() -> None:
-    code = "import sys, inspector.daemon; print(sorted({'cv2', 'scipy', 'pymodbus', 'rich'} & set(sys.modules)))"
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
-    assert said.stdout == "[]\n"
-
-
 def test_the_demo_is_a_service_that_inspects(station: Any, service: Callable[..., Any]) -> None:
     demo = Path(__file__).parents[2] / "config" / "demo.yaml"
     settings = yaml.safe_load(demo.read_text())

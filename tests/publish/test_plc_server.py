@@ -6,8 +6,6 @@ import itertools
 import os
 import socket
 import struct
-import subprocess
-import sys
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -258,11 +256,3 @@ def test_stop_frees_the_port_and_may_be_repeated(start: Start) -> None:
     with pytest.raises(ConnectionRefusedError):
         connect(server)
     PlcServer().stop()
-
-
-def test_a_station_pays_only_for_what_it_has() -> None:
-    """The registers are served first: what they do not need is not loaded before them."""
-    heavy = "{'ssl', 'serial', 'asyncio', 'pymodbus', 'cv2', 'scipy'}"
-    told = f"import sys, inspector.daemon; print(*{heavy} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, timeout=60, check=True)
-    assert done.stdout.split() == []

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PositiveFloat, model_validator
 
-from inspector.recipe import Strict
+from firmware_bridge.strict import Strict
 
 
 class Target(Strict):

@@ -1,0 +1,78 @@
+"""What the PLC meets first: the registers, answered before devices, cycle and inspection are so much as imported.
+
+Whatever this module imports, the PLC waits for; a rule of the house says what that may not be.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+from inspector import recipe_choice
+from inspector.control import PlcControl
+from inspector.lifecycle import Event, after
+from inspector.metrics.observed import Observed
+from inspector.model import Snapshot
+from inspector.outlets import Outlets
+from inspector.publish.systemd import Notifier
+from inspector.recipe import content_hash
+from inspector.sequence_file import SequenceFile
+from inspector.settings import Settings, SettingsError, configuration_hash
+from inspector.signals import Signals
+
+log = logging.getLogger(__name__)
+
+PREPARING_S = 30.0
+"""After the registers are served the cycle may take so long to begin: on a slow processor a first start does."""
+
+
+class Front:
+    """The registers of one station, and what becomes of what the PLC writes; the cycle joins when it is ready."""
+
+    def __init__(self, settings: Settings, signals: Signals, notifier: Notifier | None = None) -> None:
+        self.settings, self.settings_recipe_id = recipe_choice.resumed(settings), settings.recipe.id
+        self.notifier = notifier or Notifier()
+        self.sequence = SequenceFile(settings.plc.sequence_file)
+        self.snapshot = Snapshot(sequence=self.sequence.first, panel_id=self.sequence.first)
+        self.control = PlcControl(self.snapshot, signals.wake)
+        self.observed = Observed()
+        self.outlets = Outlets(settings, self.control, self.notifier, self.observed)
+
+    @property
+    def port(self) -> int:
+        """The TCP port of the registers."""
+        return self.outlets.server.port
+
+    def start(self) -> None:
+        """Serve the registers, before anything else is done. Raises PlcServerError."""
+        self.outlets.start(self.snapshot)
+        self.show(described(self.snapshot, self.settings, configuration_hash(self.settings), Event.CONFIGURED))
+        self.outlets.server.beat(PREPARING_S)
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Show this from now on, whole, to the PLC and to systemd."""
+        self.sequence.reached(snapshot.sequence)
+        self.control.publish(snapshot)
+        self.observed.show(snapshot)
+        self.snapshot = snapshot
+        fault = f", fault {snapshot.fault_code}" if snapshot.fault_code else ""
+        self.notifier.status(f"{snapshot.state.name}{fault}; registers on port {self.port}")
+
+
+def described(snapshot: Snapshot, settings: Settings, settings_hash: int, *events: Event) -> Snapshot:
+    """The snapshot with what it says of the settings brought up to date. ``settings_hash`` is theirs, and of the
+    calibration file (:func:`inspector.settings.configuration_hash`)."""
+    return replace(
+        snapshot,
+        state=after(snapshot.state, *events),
+        recipe_id=settings.recipe.id,
+        recipe_hash=content_hash(settings.recipe),
+        lamp_set_v=settings.lamp.volts(settings.recipe.lamp_percent),
+        configuration_hash=settings_hash,
+    )
+
+
+def log_problems(error: SettingsError) -> None:
+    """Say everything that is wrong with refused settings."""
+    for problem in error.problems:
+        log.error("settings refused: %s", problem)
