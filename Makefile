@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PYTEST_ARGS ?=
 
-.PHONY: help setup demo test soak lint check docs lock clean
+.PHONY: help setup demo test soak lint check docs lock dist deb audit clean
 
 help:  ## Show the targets.
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
@@ -40,6 +40,17 @@ docs: $(VENV)/run.stamp  ## Write again what is generated from the code.
 	$(BIN)/inspector io profiles --format markdown > docs/modules.md
 	$(BIN)/inspector faults --format markdown > docs/faults.md
 
+dist: $(VENV)/run.stamp  ## Build source distribution and wheel into dist/; ARCH=arm64 for another machine than this.
+	$(BIN)/python deploy/build_wheel.py $(ARCH:%=--arch %)
+
+deb: $(VENV)/run.stamp  ## Build the Debian package into dist/; ARCH=arm64 for another machine than this.
+	$(BIN)/python deploy/build_deb.py $(ARCH:%=--arch %)
+
+audit: $(BIN)/python  ## Ask what is known against the locked dependencies, where advisories are in reach.
+	test -x build/audit/bin/pip-audit || { $(PYTHON) -m venv build/audit && build/audit/bin/pip install --quiet pip-audit; }
+	build/audit/bin/pip-audit --require-hashes --disable-pip --progress-spinner off --format json \
+	  -r requirements.txt 2>build/audit/log | $(BIN)/python deploy/audit.py
+
 lock: $(BIN)/python  ## Choose new releases of the dependencies, with their hashes.
 	$(PYTHON) -m venv build/lock && build/lock/bin/pip install --quiet uv
 	echo 'setuptools>=77' | build/lock/bin/$(COMPILE) -o requirements.txt pyproject.toml -
@@ -61,6 +72,7 @@ INSTALL = $(BIN)/pip install --quiet --disable-pip-version-check
 $(VENV)/run.stamp: requirements.txt pyproject.toml $(wildcard inspector/_*.[ch] inspector/detect/_*.[ch] inspector/publish/_*.c) | $(BIN)/python
 	@command -v $(CC) >/dev/null || { echo "no C compiler: apt install gcc libc6-dev (or: make CC=...)" >&2; exit 1; }
 	$(INSTALL) --require-hashes -r requirements.txt
+	rm -f inspector/*.so inspector/*/*.so
 	$(INSTALL) --no-deps --no-build-isolation --editable .
 	@touch $@
 

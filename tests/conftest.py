@@ -111,7 +111,13 @@ def gige_camera(compiled_peer: Any, frames_folder: Path, wait_until: Any, tmp_pa
 
 
 @pytest.fixture
-def booted(peer: Callable[[str, str], str], tmp_path: Path) -> Iterator[Any]:
+def booted_files() -> Path:
+    """What a booted machine's files are at first: this machine's, unless a test's module has others."""
+    return Path("/")
+
+
+@pytest.fixture
+def booted(booted_files: Path, peer: Callable[[str, str], str], tmp_path: Path) -> Iterator[Any]:
     """A machine with a real systemd, still off; see support/booted.py. Skipped by name where none can be had."""
     import booted
 
@@ -119,7 +125,7 @@ def booted(peer: Callable[[str, str], str], tmp_path: Path) -> Iterator[Any]:
     if os.geteuid() != 0:
         pytest.skip(f"{PEER_MISSING}: root, who alone boots a container (sudo)")
     try:
-        machine = booted.Booted(tmp_path)
+        machine = booted.Booted(tmp_path, booted_files)
     except booted.CannotBoot as error:
         pytest.skip(f"no container here: {error}")
     with contextlib.closing(machine):

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 UNIT = Path(__file__).parents[2] / "deploy" / "inspector.service"
-PROGRAM = "/opt/inspector/.venv/bin/inspector"
+PROGRAM = "/usr/bin/inspector"
 
 
 @pytest.fixture

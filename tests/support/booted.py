@@ -1,4 +1,5 @@
-"""A machine of its own with a real systemd as its first process: this one's files under a throw-away layer in memory.
+"""A machine of its own with a real systemd as its first process: this one's files, or others, under a throw-away layer
+in memory.
 
 It has no network but its loopback, which :meth:`Booted.in_network` reaches. Whatever is left of it dies with the test.
 """
@@ -33,7 +34,7 @@ _HOLD = """
 set -e
 mount -t tmpfs -o mode=755 tmpfs "$1"
 mkdir "$1/upper" "$1/work" "$1/root"
-mount -t overlay overlay -o "lowerdir=/,upperdir=$1/upper,workdir=$1/work" "$1/root"
+mount -t overlay overlay -o "lowerdir=$2,upperdir=$1/upper,workdir=$1/work" "$1/root"
 echo held
 exec cat
 """
@@ -53,16 +54,17 @@ class CannotBoot(Exception):
 
 
 class Booted:
-    """A machine that is off at first. Its files are under ``root``, off or on, and stay over a power cut."""
+    """A machine that is off at first. Its files are under ``root``, off or on, and stay over a power cut; at first they
+    are those under ``files``."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, files: Path = Path("/")) -> None:
         self._binds: list[str] = []
         self._machine: subprocess.Popen[bytes] | None = None
         self._leader = 0
         self._log = folder / "console.log"
         self._held = folder / "machine"
         self._held.mkdir()
-        hold = ["unshare", "--mount", "--propagation", "private", "sh", "-c", _HOLD, "sh", str(self._held)]
+        hold = ["unshare", "--mount", "--propagation", "private", "sh", "-c", _HOLD, "sh", str(self._held), str(files)]
         self._holder = subprocess.Popen(hold, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         assert self._holder.stdout is not None
         assert self._holder.stderr is not None
@@ -96,6 +98,7 @@ class Booted:
         command = folder / ".venv/bin/inspector"
         command.write_text(_COMMAND)
         command.chmod(0o755)
+        (self.root / "usr/bin/inspector").symlink_to(f"{PROGRAM}/.venv/bin/inspector")
 
     def boot(self) -> None:
         """Switch on, and wait until all that is enabled has started."""
