@@ -30,7 +30,12 @@ class NoReply(BridgeError):
 
 
 class NoTrigger(NoReply):
-    """The camera works and waits for its hardware line: the line stands still. No fault; the device stays open."""
+    """The camera works and waits for its hardware line: the line stands still. No fault; the device stays open.
+
+    ``passed_over``: frames that the camera had taken before it was asked, and that nobody is given.
+    """
+
+    passed_over = 0
 
 
 class EndOfRecording(NoReply):

@@ -39,8 +39,11 @@ OUTAGE_CYCLE_S = 0.5
 """A free-running cycle without its devices comes round this often at least, so that what is shown stays true."""
 
 
-def _nothing() -> None:
+def _nothing(frame: Frame | None) -> None:
     """Nobody wants to look in the middle of a cycle."""
+
+
+Glance = Callable[[Frame | None], None]
 
 
 def _always() -> bool:
@@ -118,9 +121,9 @@ class Cycle:
             return min([*waiting, started_s + OUTAGE_CYCLE_S])
         return now_s
 
-    def turn(self, last: Snapshot, glance: Callable[[], None] = _nothing, wanted: Callable[[], bool] = _always) -> Turn:
-        """One frame taken and inspected; ``glance`` is called in between, then ``wanted`` asked whether it is of a
-        panel. Raises NoTrigger, for which there is no turn: the camera still waits."""
+    def turn(self, last: Snapshot, glance: Glance = _nothing, wanted: Callable[[], bool] = _always) -> Turn:
+        """One frame taken and inspected; ``glance`` is called with it in between (None: there was none), then
+        ``wanted`` asked whether it is of a panel. Raises NoTrigger, for which there is no turn: the camera waits."""
         started_s = self._clock()
         last = replace(last, lamp_set_v=self.wanted.lamp_v)
         try:
@@ -220,13 +223,16 @@ class Cycle:
         if self._settled_s is None:
             self._settled_s = self._clock() + self._settings.lamp.settle_s
 
-    def _inspected(
-        self, last: Snapshot, started_s: float, glance: Callable[[], None], wanted: Callable[[], bool]
-    ) -> Turn:
-        frame = capture(self._lamp, self._camera, self.wanted, self._grabbing)
+    def _inspected(self, last: Snapshot, started_s: float, glance: Glance, wanted: Callable[[], bool]) -> Turn:
+        try:
+            frame = capture(self._lamp, self._camera, self.wanted, self._grabbing)
+        except NoTrigger:
+            raise
+        except BridgeError:
+            glance(None)
+            raise
         self._settle()
-        with suppress(BridgeError):  # whoever looks next will see it
-            glance()
+        glance(frame)
         if self.missing_s > 0:
             return self._failed(last, Fault.LAMP_WARMING_UP, f"{self.missing_s:.0f} s left", started_s, frame)
         taken_s = self._clock()

@@ -23,7 +23,7 @@ from inspector.faults import Fault
 from inspector.front import Front, described, log_problems
 from inspector.handshake_table import Command
 from inspector.lifecycle import Event, after
-from inspector.model import Snapshot
+from inspector.model import Frame, Snapshot
 from inspector.panel_work import PanelWork
 from inspector.plc_commands import carried_out
 from inspector.publish import console
@@ -139,6 +139,7 @@ class Daemon:
         if self._signals.reload:
             self._signals.reload = False
             self._reload()
+        self._due_s()  # what was missed meanwhile is known before a panel's end is
         self._obey()
         if self._triggered_before(ends_s):
             self._inspect_one()
@@ -147,8 +148,8 @@ class Daemon:
         """Wait, alive, until a cycle is to begin; False if something else is to be done first."""
         self._beat()
         while not self._interrupted:
+            due_s = min(self._due_s(), ends_s)  # first: what was missed is told before a panel ends
             look_s = min(self._trigger.look_s, self._look_at_panels())
-            due_s = min(self._due_s(), ends_s)
             now_s = time.monotonic()
             if due_s <= now_s:  # what the PLC wrote together with its trigger comes first: the trigger stays due
                 return now_s < ends_s and not self._interrupted
@@ -176,8 +177,13 @@ class Daemon:
         try:
             return self._trigger.due_s(time.monotonic())
         except BridgeError as error:
+            self._trigger_unread(error)
             self._show_changed(self._cycle.waits_for(self._snapshot, error))
             return math.inf
+
+    def _trigger_unread(self, error: BridgeError) -> None:
+        if self._panels is not None:
+            self._panels.unread(f"whether a trigger came could not be read: {error}")
 
     def _keep_ready(self) -> None:
         self._show_changed(self._cycle.keep_ready(self._snapshot))
@@ -211,7 +217,8 @@ class Daemon:
             self._show_changed(replace(self._snapshot, state=after(self._snapshot.state, Event.STARTED_SINGLE)))
         try:
             turn = self._cycle.turn(self._counted(self._snapshot), self._taken, self._wants_frame)
-        except NoTrigger:
+        except NoTrigger as waits:
+            self._trigger.passed_over(waits.passed_over)
             self._keep_ready()
             return
         self._spoken_s = time.monotonic()
@@ -220,9 +227,8 @@ class Daemon:
         shown = turn.snapshot
         if one_by_one:
             shown = replace(shown, state=after(shown.state, Event.FINISHED, Event.STOPPED))
-        self._trigger.took(turn.frame_id)
         if self._panels is not None:
-            self._panels.took(turn, self._trigger.missed + missed_before, panel_id)
+            self._panels.took(turn, self._trigger.missed_before + missed_before, panel_id)
         # Before anybody sees the result: whoever then triggers again is in time.
         self._trigger.ended(time.monotonic(), self._cycle.resume_s(started_s))
         if self._panels is None:
@@ -234,12 +240,20 @@ class Daemon:
         self._control.cycle_ended(self._awaits_plc)
         self._show_changed(self._counted(self._snapshot))
 
-    def _taken(self) -> None:
-        """The frame is there: what is left waits for no device, so that silence is soon a stall."""
+    def _taken(self, frame: Frame | None) -> None:
+        """The frame is there, or will not be: what is left waits for no device, so that silence is soon a stall."""
+        try:
+            if frame is not None:
+                self._trigger.took(frame.frame_id)
+            self._trigger.glance()
+        except BridgeError as error:
+            self._trigger_unread(error)
         try:
             if self._panels is not None:
+                if frame is not None:
+                    before_s = min(self._control.trigger_s, frame.taken_s)
+                    self._panels.mark(self._control.take_panel_marks(), before_s, self._trigger.missed)
                 self._panels.glance(self._missed)
-            self._trigger.glance()
         finally:
             self._outlets.server.beat(INSPECTION_S)
 
@@ -258,7 +272,7 @@ class Daemon:
         """The results of panels that are done, and how far the one under way has come."""
         for panel in panels.results():
             self._cycle.panel_done()
-            shown = snapshots.of_panel(self._snapshot, panel, time.monotonic())
+            shown = snapshots.of_panel(self._counted(self._snapshot), panel, time.monotonic())
             self._publish(shown, console.frames_of(shown), panel.reasons_text)
         self._show_changed(replace(self._snapshot, frames_so_far=panels.frames_so_far))
 

@@ -74,7 +74,8 @@ class PanelWork:
         return self
 
     def mark(self, marks: list[Order], before_s: float, missed_otherwise: int) -> None:
-        """Starts and ends from the PLC; those after ``before_s``, of a TRIGGER that waits, come after its frame.
+        """Starts and ends from the PLC; those after ``before_s``, when a TRIGGER that waits came or a frame was taken,
+        come after that frame.
 
         ``missed_otherwise``: triggers missed in all until now that were none of the PLC's; those since the last call
         came before the marks or after them, so that no panel of theirs has been seen whole.
@@ -94,6 +95,11 @@ class PanelWork:
             if order.mark_refused_after:
                 self._panels.misses("the PLC's next mark was refused: too many waited")
 
+    def unread(self, why: str) -> None:
+        """Something that says what the panel's frames are could not be read: the panel under way, if there is one, does
+        not pass."""
+        self._panels.misses(why)
+
     def glance(self, missed: int) -> None:
         """In the middle of a cycle, right after the exposure: see whether a panel is in view."""
         if self._input is None:
@@ -102,7 +108,7 @@ class PanelWork:
         try:
             on = self._read_input(self._input.channel) is (self._input.active == "on")
         except BridgeError as error:
-            self._panels.misses(f"whether it was in view could not be read: {error}")
+            self.unread(f"whether it was in view could not be read: {error}")
             return
         self._keep(self._panels.in_view(on, self._clock(), missed))
 

@@ -127,23 +127,25 @@ class GenicamCamera:
     def grab(self) -> CameraFrame:
         """See the contract: a frame that begins after this call, or, at a camera's own line, that came after it."""
         end_s = time.monotonic() + self._deadline_s
-        self._begin()
+        passed_over = self._begin()
         while (received := self._ask(lambda link: link.pop(LOOK_S), LOOK_S + self._command_deadline_s)) is None:
             if time.monotonic() >= end_s:
                 if self._wanted.trigger not in (SOFTWARE, FREE_RUNNING):
-                    raise NoTrigger(self._device, f"no signal on {self._wanted.trigger} in {self._deadline_s:g} s")
+                    none = NoTrigger(self._device, f"no signal on {self._wanted.trigger} in {self._deadline_s:g} s")
+                    none.passed_over = passed_over
+                    raise none
                 self._out_of_step = True
                 remedy = "check the trigger's wiring, and that no firewall keeps its frames out"
                 raise NoReply(self._device, f"no frame in {self._deadline_s:g} s", remedy)
             self._ask(AravisCamera.check_alive)
         return self._frame(received)
 
-    def _begin(self) -> None:
-        """Leave no old frame to be taken for a new one; one that was given up may still have come."""
+    def _begin(self) -> int:
+        """Leave no old frame to be taken for a new one; one that was given up may still have come. How many waited."""
         if self._out_of_step:
             self._start()
         software = self._wanted.trigger == SOFTWARE
-        self._ask(AravisCamera.drain_and_trigger if software else AravisCamera.drain)
+        return self._ask(AravisCamera.drain_and_trigger if software else AravisCamera.drain)
 
     def _start(self) -> None:
         """Let frames come that begin from now on."""

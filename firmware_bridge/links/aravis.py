@@ -150,10 +150,11 @@ class AravisCamera:
             count += 1
         return count
 
-    def drain_and_trigger(self) -> None:
-        """The next frame is the one that this begins."""
-        self.drain()
+    def drain_and_trigger(self) -> int:
+        """The next frame is the one that this begins; how many were thrown away."""
+        count = self.drain()
         self.call("software_trigger")
+        return count
 
     def pop(self, wait_s: float) -> Received | None:
         """The next frame, None if none came in that time."""

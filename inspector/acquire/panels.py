@@ -206,14 +206,14 @@ class Panels:
     def _passed_over(self, missed: int, frame_id: int | None = None) -> Done:
         """Numbers this cycle's trigger; those between it and the last one brought no frame, and the panel misses them.
 
-        They are those counted, or, where each frame is one trigger's, those that the frames' numbers show. Those told
-        already were another panel's, if that one has ended.
+        They are those counted, or, where each frame is one trigger's, those that the frames' numbers show. Where panels
+        end without a frame, those told already were another panel's, if that one has ended.
         """
         lost = missed - self._missed
         if frame_id is not None and self._last_id is not None and self._mm_per_frame is not None:
             lost = max(lost, frame_id - self._last_id - 1 - (self._trigger - self._last_trigger))
         lost = max(lost, 0)
-        untold = lost > self._told - self._missed
+        untold = lost > self._told - self._missed or not isinstance(self._frames, ByInput | ByPlcMarks)
         self._missed, self._told = missed, max(self._told, missed)
         self._trigger += lost + 1
         if frame_id is not None:

@@ -44,6 +44,8 @@ class Trigger:
     def __init__(self, late_after_s: float, missed: int = 0, late: int = 0) -> None:
         self._late_after_s = late_after_s
         self.missed, self.late = missed, late
+        self.missed_before = missed
+        """:attr:`missed` as it was when the trigger of the last cycle came."""
         self._resume_s = -math.inf
 
     def due_s(self, now_s: float) -> float:
@@ -52,12 +54,16 @@ class Trigger:
 
     def begins(self, now_s: float) -> None:
         """A cycle begins."""
+        self.missed_before = self.missed
 
     def glance(self) -> None:
         """Look whether another trigger comes, in the middle of a cycle. Raises what reading raises."""
 
-    def took(self, frame_id: int | None) -> None:
-        """The cycle's frame had this id; None: there was no frame."""
+    def took(self, frame_id: int) -> None:
+        """The cycle's frame had this id."""
+
+    def passed_over(self, frames: int) -> None:
+        """The camera had taken so many frames unasked when it was asked, and waits."""
 
     def ended(self, now_s: float, resume_s: float) -> None:
         """A cycle has ended; with ``resume_s`` a failed device may be tried again, now if none has failed."""
@@ -80,6 +86,7 @@ class Clock(Trigger):
 
     def begins(self, now_s: float) -> None:
         """See the base."""
+        super().begins(now_s)
         self._came(self._tick_s, now_s)
 
     def ended(self, now_s: float, resume_s: float) -> None:
@@ -103,6 +110,7 @@ class Asked(Trigger):
 
     def begins(self, now_s: float) -> None:
         """See the base."""
+        super().begins(now_s)
         self._came(self._pending(), now_s)
 
 
@@ -113,17 +121,19 @@ class Calls(Trigger):
         super().__init__(late_after_s, missed, late)
         self._take = take
         self._call_s: float | None = None
+        self._missed_at_call = missed
 
     def due_s(self, now_s: float) -> float:
         """See the base. Of several calls at once the first counts, the others are missed."""
         calls = self._take()
         if self._call_s is None and calls:
-            self._call_s = calls.pop(0)
+            self._call_s, self._missed_at_call = calls.pop(0), self.missed
         self.missed += len(calls)
         return math.inf if self._call_s is None else self._call_s
 
     def begins(self, now_s: float) -> None:
         """See the base."""
+        self.missed_before = self._missed_at_call
         if self._call_s is not None:
             self._came(self._call_s, now_s)
 
@@ -168,6 +178,7 @@ class Input(Trigger):
 
     def begins(self, now_s: float) -> None:
         """See the base. The input may have come on as early as just after it was last seen off."""
+        super().begins(now_s)
         if self._came_s is not None:
             self._came(self._came_s + self._stable_s + self.look_s, now_s)
 
@@ -185,8 +196,14 @@ class Line(Trigger):
 
     _last_id: int | None = None
 
-    def took(self, frame_id: int | None) -> None:
+    def took(self, frame_id: int) -> None:
         """See the base. Frames between the last one and this were nobody's."""
-        if frame_id is not None:
-            self.missed += max(0, frame_id - self._last_id - 1) if self._last_id is not None else 0
-            self._last_id = frame_id
+        if self._last_id is not None:
+            self.missed += max(0, frame_id - self._last_id - 1)
+        self._last_id, self.missed_before = frame_id, self.missed
+
+    def passed_over(self, frames: int) -> None:
+        """See the base. Frames before the first one are not known to be of the line."""
+        if self._last_id is not None:
+            self.missed += frames
+            self._last_id += frames

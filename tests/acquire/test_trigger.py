@@ -74,6 +74,7 @@ def test_of_calls_one_counts_and_those_during_a_cycle_are_missed() -> None:
     assert calls.missed == 1
     calls.begins(10.2)
     assert calls.late == 1
+    assert calls.missed_before == 0  # the other came after it
     assert calls.due_s(10.2) == 10.0
     calls.ended(10.4, 10.4)
     assert calls.missed == 2
@@ -137,6 +138,11 @@ def test_an_input_that_was_looked_at_too_late_is_late() -> None:
 
 def test_frames_that_nobody_took_were_missed() -> None:
     line = Line(LATE_S)
-    for frame_id in (7, 8, None, 11, 1):
+    line.passed_over(3)  # before the first: of no line that is known
+    for frame_id in (7, 8, 11, 1):
         line.took(frame_id)
-    assert line.missed == 2
+    assert (line.missed, line.missed_before) == (2, 2)
+    line.passed_over(2)
+    assert line.missed == 4
+    line.took(5)
+    assert line.missed == 5

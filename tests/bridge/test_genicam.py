@@ -169,6 +169,26 @@ def test_a_line_that_stands_still_is_no_fault(gige_camera: Any, camera_at: Any) 
         camera_at(trigger="Line0", deadline_s=0.5).grab()
 
 
+def test_frames_taken_unasked_are_told_by_the_line_that_then_stands_still(
+    gige_camera: Any, camera_at: Any, wait_until: Any
+) -> None:
+    peer, camera = gige_camera(), camera_at(trigger="Line0", deadline_s=0.5)
+
+    def told() -> int:
+        peer.pulse()
+        threading.Event().wait(0.1)  # the frame comes while nobody asks for it: that is the subject
+        try:
+            camera.grab()
+        except errors.NoTrigger as waits:
+            return waits.passed_over
+        return 0
+
+    assert wait_until(told, "a frame that nobody asked for") == 1
+    with pytest.raises(errors.NoTrigger) as caught:
+        camera.grab()
+    assert caught.value.passed_over == 0
+
+
 @contextlib.contextmanager
 def _pulsed(peer: gige.GigeCamera, every_s: float = 0.1) -> Iterator[None]:
     """Signals on Line0, until something came of them."""

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from firmware_bridge.errors import NoReply
+from firmware_bridge.errors import BridgeError, NoReply
 from inspector.faults import Fault
 from inspector.handshake_table import Answer, Command, CommandResult, Control
-from inspector.model import Defect, FrameResult, Reason, Verdict
+from inspector.model import Defect, FrameResult, Reason, State, Verdict
 from tests.line.test_daemon import Bench, bench, shown
 from tests.line.test_plc_trigger import BY_PLC, Line, line
 
@@ -172,6 +173,101 @@ def triggered_again(at: Line) -> None:
     at.control()
     at.station.camera.permits.release()
     at.until_set(Answer.TRIGGER_READY)
+
+
+def test_a_frame_is_of_the_panel_that_the_plc_had_begun_when_it_was_taken(
+    line: Callable[..., Line], wait_until: Callable[..., Any]
+) -> None:
+    """The marks come while the camera is waited for, as at a line of its own: no panel has the frame of another."""
+    at = line(panel=BY_MARKS, recipe=RECIPE, cycle=BY_PLC | {"trigger": {"kind": "free_running"}})
+    camera = at.station.camera
+    for number, panel_id, bits in ((1, 7, Control.PANEL_START), (2, 8, Control.PANEL_END | Control.PANEL_START)):
+        wait_until(lambda: camera.waiting, "a camera that is waited for")
+        at.control()
+        at.control(bits, 0, 0, panel_id)
+        camera.permits.release()
+        at.until(lambda r, n=number: r["acquisition_id"] == n, "the panel's frame")
+    wait_until(lambda: camera.waiting, "a camera that is waited for")
+    first = at.until(lambda r: r["sequence"] == 1, "the first panel")
+    assert (first["panel_id"], first["panel_frames"], first["verdict"]) == (7, 1, Verdict.PASS)
+    at.control()
+    at.control(Control.PANEL_END)
+    camera.permits.release()
+    second = at.until(lambda r: r["sequence"] == 2, "the second panel")
+    assert (second["panel_id"], second["panel_frames"], second["verdict"]) == (8, 1, Verdict.PASS)
+
+
+class Inputs:
+    """The module's digital inputs, of which the first triggers; ``asked``: how often they were read."""
+
+    def __init__(self) -> None:
+        self.on, self.asked = False, 0
+        self.fails: BridgeError | None = None
+
+    def read_inputs(self) -> tuple[bool, ...]:
+        self.asked += 1
+        if self.fails:
+            raise self.fails
+        return (self.on, False)
+
+
+@pytest.fixture
+def by_input(bench: Callable[..., Bench], line: Callable[..., Line], monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A station that an input triggers, within a panel of the PLC's with one frame; and its inputs."""
+    inputs = Inputs()
+    made = Bench._build
+    monkeypatch.setattr(Bench, "_build", lambda *a, **k: replace(made(*a, **k), digital=inputs))
+    trigger = {"kind": "digital_input", "channel": 0, "debounce_s": 0.0, "poll_s": 0.005}
+    at = line(panel=BY_MARKS, recipe=RECIPE, cycle=BY_PLC | {"trigger": trigger})
+    at.until(lambda r: r["state"] == State.READY, "ready")
+    at.control(Control.PANEL_START)
+    return at, inputs
+
+
+def triggered(at: Line, inputs: Inputs, wait_until: Callable[..., Any]) -> int:
+    """The input comes on, and goes off while the camera is waited for; how often it had been read until then."""
+    seen = inputs.asked
+    wait_until(lambda: inputs.asked > seen + 3, "looks at the input that is off")
+    inputs.on = True
+    wait_until(lambda: at.station.camera.waiting, "a cycle")
+    inputs.on = False
+    return inputs.asked
+
+
+def test_a_trigger_missed_after_the_last_frame_is_told_before_the_panel_ends(
+    by_input: tuple[Line, Inputs], wait_until: Callable[..., Any]
+) -> None:
+    (at, inputs), inspected = by_input, threading.Event()
+    at.station.says = {1: inspected}
+    seen = triggered(at, inputs, wait_until)
+    at.station.camera.permits.release()
+    wait_until(lambda: inputs.asked > seen, "the look in mid-cycle")
+    inputs.on = True  # the last one of the panel: nobody sees it
+    at.control(Control.PANEL_END)
+    inspected.set()
+    done = at.until(lambda r: r["sequence"] == 1, "a result")
+    assert (done["panel_frames"], done["missed_triggers"]) == (1, 1)
+    assert done["verdict"] == Verdict.NOT_INSPECTED
+
+
+@pytest.mark.parametrize("in_the_cycle", [True, False])
+def test_a_panel_whose_triggers_could_not_be_read_does_not_pass(
+    by_input: tuple[Line, Inputs], in_the_cycle: bool, wait_until: Callable[..., Any]
+) -> None:
+    at, inputs = by_input
+    seen = triggered(at, inputs, wait_until)
+    if in_the_cycle:
+        inputs.fails = NoReply("module", "silent")
+    at.station.camera.permits.release()
+    if not in_the_cycle:
+        at.until(lambda r: r["panel_frames_so_far"] == 1, "a frame")
+        seen, inputs.fails = inputs.asked, NoReply("module", "silent")
+    wait_until(lambda: inputs.asked > seen, "a look that fails")
+    inputs.fails = None
+    at.until(lambda r: r["panel_frames_so_far"] == 1 and r["state"] == State.READY, "ready again")
+    at.control(Control.PANEL_END)
+    done = at.until(lambda r: r["sequence"] == 1, "a result")
+    assert (done["verdict"], done["panel_frames"]) == (Verdict.NOT_INSPECTED, 1)
 
 
 def test_the_last_trigger_of_a_panel_missed_is_that_panels_and_not_the_next_ones(line: Callable[..., Line]) -> None:
