@@ -36,7 +36,6 @@ check: lint test  ## All that CI runs.
 docs: $(VENV)/run.stamp  ## Write again what is generated from the code.
 	$(BIN)/inspector plc-package --output deploy/plc
 	$(BIN)/inspector config schema > config/schema.json
-	$(BIN)/inspector states > docs/states.md
 	$(BIN)/inspector io profiles --format markdown > docs/modules.md
 	$(BIN)/inspector faults --format markdown > docs/faults.md
 

@@ -82,6 +82,24 @@ def compiled_peer(peer: Callable[[str, str], str], tmp_path_factory: pytest.Temp
     return compile_once
 
 
+@pytest.fixture(scope="session")
+def npm_peers(peer: Callable[[str, str], str], tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """``npm_peers(source, names)``: a folder with what the package-lock.json in ``source`` names; skipped by name where
+    it cannot be had."""
+
+    def install(source: Path, names: str, deadline_s: float = 100) -> Path:
+        npm, folder = peer("npm", "npm"), tmp_path_factory.mktemp("npm")
+        for name in ("package.json", "package-lock.json"):
+            shutil.copy(source / name, folder)
+        command = [npm, "ci", "--omit=optional", "--ignore-scripts", "--no-audit", "--no-fund"]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=deadline_s, check=False)
+        if done.returncode:
+            pytest.skip(f"{PEER_MISSING}: {names} (npm ci: {done.stderr.strip()[-200:]})")
+        return folder
+
+    return install
+
+
 @pytest.fixture
 def threads_alternate() -> Iterator[None]:
     """Let threads take turns often: more chances to tear a read, and less waiting for the interpreter's turn."""

@@ -144,19 +144,15 @@ def binding_page() -> str:
 _BINDING = """\
 # The function block and your Modbus client
 
-`FB_SeedInspector.st` holds two data types, two functions and the block, in plain IEC 61131-3: import the text
-or paste
+`FB_SeedInspector.st` holds two data types, two functions and the block, in plain IEC 61131-3: import the text or paste
 each part into an object of its own. It is tested by a parser of the language and by carrying it out, call by call,
 against the station's handshake; not on your PLC: try trigger, fault and recipe with it before production.
 
-Call it once a cycle. It asks for one exchange at a time: while `bExchange` is TRUE, do what `uiFunction` says
-({read}:
+Call it once a cycle. It asks for one exchange at a time: while `bExchange` is TRUE, do what `uiFunction` says ({read}:
 read `uiWords` registers from `uiAddress` into `awRead`; {write}: write `uiWords` registers of `awWrite` to
-`uiAddress`),
-hold `bExchangeDone` or `bExchangeError` TRUE when it has ended, and FALSE again once `bExchange` is FALSE.
-There are two
-exchanges only: {words} registers read from 0, and {control_words} written to {control}. Unit id 1; addresses are
-zero-based.
+`uiAddress`), hold `bExchangeDone` or `bExchangeError` TRUE when it has ended, and FALSE again once `bExchange` is
+FALSE. There are two exchanges only: {words} registers read from 0, and {control_words} written to {control}. Unit id
+1; addresses are zero-based.
 
 ## In your program
 ```
@@ -177,35 +173,27 @@ block), `udiArgument` the recipe's id, `bExecute` TRUE until `bCommandDone` or `
 - `bPass`, `bFail`, `bNotInspected` are TRUE in one call only, together with `bNewResult`: nothing stale can be read.
 - Results come at any time, also of a panel that was given up (`bPanelLost`): compare `stResult.panel_id`.
 - In a fault a waiting result is taken as not inspected, rather than kept for later.
-- Make `udiLastTaken` retentive, and set `plc.sequence_file` in the station's settings: then a result is taken
-  once also
-  over a restart of either side.
-- A command that has to wait longer than `tCommand`, or a trigger than `tTrigger`, is given up: choose both by
-  your line.
+- Make `udiLastTaken` retentive, and set `plc.sequence_file` in the station's settings: then a result is taken once
+  also over a restart of either side.
+- A command that has to wait longer than `tCommand`, or a trigger than `tTrigger`, is given up: choose both by your
+  line.
 
 ## CODESYS
-Device tree: Modbus TCP Master, Modbus TCP Server with two channels, both with a rising edge as trigger:
-function {read},
-offset 0, length {words}; function {write}, offset {control}, length {control_words}. `bExchange` triggers the
-one that
-`uiFunction` names; map its registers to `awRead` and `awWrite`. Done and error come from the channel's status
-bits, or
-from a function block of the Modbus library that carries the channel out.
+Device tree: Modbus TCP Master, Modbus TCP Server with two channels, both with a rising edge as trigger: function
+{read}, offset 0, length {words}; function {write}, offset {control}, length {control_words}. `bExchange` triggers the
+one that `uiFunction` names; map its registers to `awRead` and `awWrite`. Done and error come from the channel's status
+bits, or from a function block of the Modbus library that carries the channel out.
 
 ## TwinCAT 3 (TF6250, library Tc2_ModbusSrv)
-`FB_MBReadRegs` and `FB_MBWriteRegs`: `nUnitID` 1, `nQuantity` := `uiWords`, `nMBAddr` := `uiAddress`,
-`cbLength` twice
-`uiWords`, the data's address of `awRead` or `awWrite`, `bExecute` := `bExchange` of the one that `uiFunction`
-names. Done
-is NOT `bBusy` AND NOT `bError` after it was busy; hold it until `bExchange` falls. Call the other with
-`bExecute` FALSE.
+`FB_MBReadRegs` and `FB_MBWriteRegs`: `nUnitID` 1, `nQuantity` := `uiWords`, `nMBAddr` := `uiAddress`, `cbLength` twice
+`uiWords`, the data's address of `awRead` or `awWrite`, `bExecute` := `bExchange` of the one that `uiFunction` names.
+Done is NOT `bBusy` AND NOT `bError` after it was busy; hold it until `bExchange` falls. Call the other with `bExecute`
+FALSE.
 
 ## SIMATIC S7-1200 and S7-1500
 One `MB_CLIENT`; `REQ` := `bExchange`. Reading: `MB_MODE` 0, `MB_DATA_ADDR` {s7_result}, `MB_DATA_LEN` {words},
-`MB_DATA_PTR` at `awRead`. Writing: `MB_MODE` 1, `MB_DATA_ADDR` {s7_control}, `MB_DATA_LEN` {control_words},
-at `awWrite`.
-`DONE` and `ERROR` stand for one call: latch them until `bExchange` falls. In SCL, data types become PLC data types,
-constants the block's own, and `TON` is `TON_TIME`. `MB_CLIENT` connects to `plc.port`; the registers' data
-block is not
-optimised.
+`MB_DATA_PTR` at `awRead`. Writing: `MB_MODE` 1, `MB_DATA_ADDR` {s7_control}, `MB_DATA_LEN` {control_words}, at
+`awWrite`. `DONE` and `ERROR` stand for one call: latch them until `bExchange` falls. In SCL, data types become PLC
+data types, constants the block's own, and `TON` is `TON_TIME`. `MB_CLIENT` connects to `plc.port`; the registers' data
+block is not optimised.
 """

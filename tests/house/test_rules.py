@@ -21,7 +21,8 @@ ROOT = Path(__file__).parents[2]
 HERE = Path(__file__)
 MADE = {"build", "dist", "var"}
 """Folders that the project's own tools make."""
-TEXT_SUFFIXES = {"", ".cfg", ".csv", ".json", ".md", ".py", ".service", ".st", ".toml", ".txt", ".yaml", ".yml", ".c"}
+TEXT_SUFFIXES = {"", ".c", ".cfg", ".csv", ".js", ".json", ".md", ".mjs", ".py", ".service", ".st", ".toml", ".txt"}
+TEXT_SUFFIXES |= {".yaml", ".yml"}
 
 
 def project_files() -> list[Path]:

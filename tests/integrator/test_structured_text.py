@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -11,10 +10,10 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from paper_line import PaperLine
 from structured_text import Declared, Program
 
-from inspector import handshake
-from inspector.dialogues import Inspects, Obeys, PaperStation, Writes
+from inspector.dialogues import Obeys
 from inspector.handshake_table import Answer, Command, CommandResult
 from inspector.integrator.structured_text import function_block
 from inspector.model import Defect, Verdict
@@ -27,26 +26,17 @@ CALL_S = 0.01
 SOURCE = function_block()
 
 
-class Bench:
+class Bench(PaperLine):
     """The block in its PLC, a Modbus client, and a station on paper; time is what the calls make it."""
 
     def __init__(self, trigger_by_plc: bool = True, order: WordOrder = "high_first") -> None:
-        self.now_s, self.order = 0.0, order
-        self.station = PaperStation(trigger_by_plc)
-        self.station.live = replace(self.station.live, result_at_s=0.0)
+        super().__init__(trigger_by_plc, order)
         self.block = Program(SOURCE, "FB_SeedInspector", lambda: self.now_s)
-        self.link, self.beating = True, True
-        self.heartbeat = 0
+        self.link = True
         self.results: list[tuple[str, int, int]] = []
         self.lost: list[int] = []
         self.ended: list[tuple[bool, int]] = []
         self.block(bEnable=False)
-
-    def image(self) -> tuple[int, ...]:
-        shown = registers.encode(
-            handshake.view(self.station.state, self.station.live), self.now_s, self.heartbeat, self.order
-        )
-        return struct.unpack(">125H", shown)
 
     def run(self, seconds: float, **inputs: Any) -> None:
         for _ in range(round(seconds / CALL_S)):
@@ -60,8 +50,7 @@ class Bench:
         pytest.fail(f"not within {seconds} s")
 
     def call(self, **inputs: Any) -> None:
-        self.now_s += CALL_S
-        self.heartbeat = int(self.now_s) % 65536 if self.beating else self.heartbeat
+        self.passes(CALL_S)
         v = self.block.v
         done = v.bExchange and self.link
         if done and not v.bExchangeDone:
@@ -82,15 +71,7 @@ class Bench:
             v.awRead = dict(enumerate(self.image()))
             return
         assert (v.uiFunction, v.uiAddress) == (16, registers.CONTROL_ADDRESS)
-        words = [v.awWrite[i] for i in range(v.uiWords)]
-        block = registers.decode_control([*words, *[0] * (registers.CONTROL_WORDS - len(words))], self.order)
-        self.station.does(Writes(block.bits, block.acknowledged_sequence, block.panel_id, block.command,
-                                 block.argument))  # fmt: skip
-
-    def inspects(self, verdict: Verdict | None = Verdict.PASS) -> None:
-        self.station.does(Inspects(verdict))
-        # A result of now, as the block's bit RESULTS_VALID asks for.
-        self.station.live = replace(self.station.live, result_at_s=self.now_s)
+        self.written([v.awWrite[i] for i in range(v.uiWords)])
 
 
 @pytest.mark.parametrize("order", ["high_first", "low_first"])

@@ -10,7 +10,7 @@ import pytest
 from inspector.lifecycle import TRANSITIONS, Event, after, markdown
 from inspector.model import State
 
-PAGE = Path(__file__).parents[2] / "docs" / "states.md"
+PAGE = Path(__file__).parents[2] / "deploy" / "plc" / "states.md"
 
 
 @pytest.mark.parametrize(("state", "event"), list(itertools.product(State, Event)))

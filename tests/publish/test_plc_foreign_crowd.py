@@ -9,7 +9,6 @@ import contextlib
 import itertools
 import os
 import re
-import shutil
 import subprocess
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -97,16 +96,9 @@ def template(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def node_modules(peer: Callable[[str, str], str], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the npm clients of peers/package-lock.json; skipped by name where they cannot be had."""
-    npm, folder = peer("npm", "npm"), tmp_path_factory.mktemp("npm")
-    for name in ("package.json", "package-lock.json"):
-        shutil.copy(PEERS / name, folder)
-    command = [npm, "ci", "--omit=optional", "--ignore-scripts", "--no-audit", "--no-fund"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=100, check=False)
-    if done.returncode:
-        pytest.skip(f"peer missing: modbus-serial and jsmodbus (npm ci: {done.stderr.strip()[-200:]})")
-    return folder
+def node_modules(npm_peers: Callable[..., Path]) -> Path:
+    """A folder with the npm clients of peers/package-lock.json."""
+    return npm_peers(PEERS, "modbus-serial and jsmodbus")
 
 
 Run = Callable[[str, PlcServer, Path], "subprocess.Popen[str]"]
