@@ -38,6 +38,7 @@ docs: $(VENV)/run.stamp  ## Write again what is generated from the code.
 	$(BIN)/inspector config schema > config/schema.json
 	$(BIN)/inspector io profiles --format markdown > docs/modules.md
 	$(BIN)/inspector faults --format markdown > docs/faults.md
+	$(BIN)/inspector reinspect-columns > docs/reinspect.md
 
 dist: $(VENV)/run.stamp  ## Build source distribution and wheel into dist/; ARCH=arm64 for another machine than this.
 	$(BIN)/python deploy/build_wheel.py $(ARCH:%=--arch %)

@@ -60,3 +60,37 @@ def replay(
 
     asked = Asked(recipe, calibration, method.value if method else None, config)
     raise typer.Exit(command.run(sessions, asked, command.Output(format.value, output, plot, state), jobs))
+
+
+@sessions_app.command()
+def reinspect(
+    archive: Annotated[Path, typer.Argument(help="The archive, or a folder above sessions.")],
+    output: Annotated[Path, typer.Option(help="NAME.parquet (and NAME.seeds.parquet), or a folder of partitions.")],
+    scheduler: Annotated[
+        str | None, typer.Option(help="A Dask cluster, tcp://HOST:PORT, that sees the archive under the same path.")
+    ] = None,
+    recipe: RecipeFile = None,
+    calibration: CalibrationFile = None,
+    method: OtherMethod = None,
+    config: OtherConfig = None,
+    jobs: Jobs = None,
+) -> None:
+    """Inspect an archive's frames again, by their own settings or by others, into Parquet tables; a run that was
+    interrupted goes on. Without a scheduler on this machine's cores, with the same result.
+
+    Exit status: 0 all the same to the last bit, or all compared with other settings; 1 differences by their own
+    settings, or not all could be compared; 2 nothing could be done, or not all of it.
+    """
+    from inspector import reinspect as command
+    from inspector.change_options import Asked
+
+    asked = Asked(recipe, calibration, method.value if method else None, config)
+    raise typer.Exit(command.run(archive, asked, output, scheduler, jobs))
+
+
+@sessions_app.command("reinspect-columns")
+def reinspect_columns() -> None:
+    """Print the manual's page on the tables that reinspect writes."""
+    from inspector import reinspect_tables
+
+    typer.echo(reinspect_tables.as_markdown(), nl=False)

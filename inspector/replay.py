@@ -5,12 +5,10 @@ An interrupted run goes on from its state file.
 
 from __future__ import annotations
 
-import hashlib
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import version as release
 from pathlib import Path
 
 from firmware_bridge import whole_file
@@ -18,7 +16,7 @@ from inspector import replay_text, workers
 from inspector.change_options import Asked, Unusable, change_of
 from inspector.comparison import Comparing
 from inspector.reinspection import Change
-from inspector.replay_state import OfAnother, State
+from inspector.replay_state import OfAnother, State, program
 from inspector.replay_tally import Tally, tally
 from inspector.session_plan import Part, Plan
 
@@ -73,7 +71,11 @@ def _replayed(paths: Sequence[Path], change: Change, output: Output, jobs: int, 
     plan = Plan.of(paths, part_bytes)
     if not plan.sessions:
         raise Unusable(f"no session in {' '.join(map(str, paths))}: name folders with a session.jsonl, or above such")
-    state = State(output.state_file, _name(paths, change, output), plan) if output.state_file else None
+    state = (
+        State(output.state_file, program(paths, change, _every_seed(change, output)), plan)
+        if output.state_file
+        else None
+    )
     parts = dict(enumerate((state.plan if state else plan).parts()))
     done = dict(state.done) if state else {}
     work = partial(examine, change=change, every_seed=_every_seed(change, output))
@@ -97,12 +99,6 @@ def _replayed(paths: Sequence[Path], change: Change, output: Output, jobs: int, 
 
 def _every_seed(change: Change, output: Output) -> bool:
     return change != Change() or output.plot is not None
-
-
-def _name(paths: Sequence[Path], change: Change, output: Output) -> str:
-    """Tells this replay from others: what is replayed, by what, and what is counted."""
-    of = [release("seed-inspector"), [str(path.resolve()) for path in paths], change, _every_seed(change, output)]
-    return hashlib.sha256(repr(of).encode()).hexdigest()
 
 
 _comparing: tuple[Change, Comparing] | None = None

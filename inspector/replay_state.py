@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+from collections.abc import Sequence
+from importlib.metadata import version as release
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +17,12 @@ VERSION = 1
 
 class OfAnother(Exception):
     """The file is of another replay, or no state of one; the message says what to do."""
+
+
+def program(paths: Sequence[Path], *of: object) -> str:
+    """Tells runs apart: by this program's release, what is read, and whatever else decides what comes out."""
+    told = [release("seed-inspector"), [str(path.resolve()) for path in paths], *of]
+    return hashlib.sha256(repr(told).encode()).hexdigest()
 
 
 class State:

@@ -73,16 +73,20 @@ def inspected(recorded: Recorded) -> Inspected | None:
             settings=str(said["settings"]),
             kept=Kept(said["kept"]),
             result=result_json.to_frame(said["result"], recorded.file),
-            sequence=said["sequence"],
-            panel_id=said["panel_id"],
-            number=said["number"],
-            travel_mm=said["travel_mm"],
+            sequence=_whole(said["sequence"]),
+            panel_id=_whole(said["panel_id"]),
+            number=int(said["number"]),
+            travel_mm=float(said["travel_mm"]),
             panel=result_json.to_panel(said["panel"]) if "panel" in said else None,
             missing=tuple(said.get("missing", ())),
-            frames=said["frames"],
+            frames=int(said["frames"]),
         )
     except (KeyError, ValueError, TypeError) as error:
         raise SessionWrong(f"{recorded.file}: {type(error).__name__} {error}: take its line out") from error
+
+
+def _whole(said: Any) -> int | None:
+    return None if said is None else int(said)
 
 
 def version_file(settings: str) -> str:
