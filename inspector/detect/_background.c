@@ -13,7 +13,7 @@ WIDE static uint16_t kth(const uint16_t *v, i64 n, i64 k, uint16_t low, uint16_t
 
 /* Pixel as integer: the loops below are as long as the estimate takes, and doubles would make them twice that. */
 static inline int dn(const Image *im, const uint8_t *row, i64 column) {
-    return im->bytes == 1 ? row[column] : ((const uint16_t *)row)[column];
+    return im->bytes == 1 ? row[column] : ((const Grey16 *)row)[column];
 }
 
 /* |differences| of neighbours in a row, at every `down`-th row and `right`-th column. Returns how many. */

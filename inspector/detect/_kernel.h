@@ -24,9 +24,12 @@ typedef struct {      /* a grey image of 1 or 2 bytes a pixel; rows lie `stride`
     i64 bytes, height, width, stride;
 } Image;
 
+/* A pixel of two bytes, wherever it lies: a buffer may begin at an odd address, and not every processor reads there. */
+typedef uint16_t __attribute__((aligned(1), may_alias)) Grey16;
+
 static inline double grey(const Image *im, i64 row, i64 column) {
     const uint8_t *p = im->data + row * im->stride;
-    return im->bytes == 1 ? p[column] : ((const uint16_t *)p)[column];
+    return im->bytes == 1 ? p[column] : ((const Grey16 *)p)[column];
 }
 
 /* Columns of a spot's row in the table that kernel_detect fills; spots.py reads them by the same numbers. */

@@ -11,7 +11,7 @@ WIDE static unsigned peak_u8(const uint8_t *p, i64 n) {
     return m;
 }
 
-WIDE static unsigned peak_u16(const uint16_t *p, i64 n) {
+WIDE static unsigned peak_u16(const Grey16 *p, i64 n) {
     uint16_t m = 0;
     for (i64 i = 0; i < n; i++) m = p[i] > m ? p[i] : m;
     return m;
@@ -20,7 +20,7 @@ WIDE static unsigned peak_u16(const uint16_t *p, i64 n) {
 enum { BLOCK = 32 };      /* pixels looked at together in a row that holds a lit one */
 
 static unsigned block_peak(const Image *im, const uint8_t *row, i64 begin, i64 end) {
-    return im->bytes == 1 ? peak_u8(row + begin, end - begin) : peak_u16((const uint16_t *)row + begin, end - begin);
+    return im->bytes == 1 ? peak_u8(row + begin, end - begin) : peak_u16((const Grey16 *)row + begin, end - begin);
 }
 
 /* Component numbers of n pixels in row-major order, 8-connected; returns their count, or -1 without memory. */
@@ -71,7 +71,7 @@ static i64 find_lit(const Image *im, const double *tiles, i64 tr, i64 tc, i64 mo
     i64 n = 0;
     for (i64 r = 0; tc <= 64 && n <= most && r < im->height; r++) {
         const uint8_t *p = im->data + r * im->stride;
-        unsigned peak = im->bytes == 1 ? peak_u8(p, im->width) : peak_u16((const uint16_t *)p, im->width);
+        unsigned peak = im->bytes == 1 ? peak_u8(p, im->width) : peak_u16((const Grey16 *)p, im->width);
         top = peak > top ? peak : top;
         double least = row_thresholds(tiles, tr, tc, r, im->height, at);
         if (!(peak > least)) continue;

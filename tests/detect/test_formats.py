@@ -26,6 +26,14 @@ def inside_a_larger_frame(image: Image) -> Image:
     return larger[7:-13, 11:-19]
 
 
+def at_odd_addresses(image: Image) -> Image:
+    stride = image.shape[1] * image.itemsize + 1
+    memory = bytearray(1 + image.shape[0] * stride)
+    odd: Image = np.ndarray(image.shape, image.dtype, memory, 1, (stride, image.itemsize))
+    odd[:] = image
+    return odd
+
+
 def one_channel_of_three(image: Image) -> Image:
     return np.repeat(image[:, :, None], 3, axis=2)[:, :, 1]
 
@@ -34,6 +42,7 @@ FORMS: dict[str, Callable[[Image], Image]] = {
     "Fortran order": np.asfortranarray,
     "read-only": read_only,
     "inside a larger frame": inside_a_larger_frame,
+    "at odd addresses": at_odd_addresses,
     "one channel of three": one_channel_of_three,
     "every second row": lambda image: np.repeat(image, 2, axis=0)[::2],
     "every second column": lambda image: np.repeat(image, 2, axis=1)[:, ::2],
