@@ -1,9 +1,10 @@
 """Which frames make a panel, and how far it had moved in each. Pure: the caller gives the time, on one clock.
 
-Rules. A trigger that brought no frame, missed or failed, keeps its place: the panel's later frames stay where they are,
-a count counts it, and the panel has not been seen whole. A panel whose end does not come, whose start did not come, or
-that began while nobody looked, is ended all the same, and says what it misses: no panel goes silently. A trigger that
-was missed is one of the panel's that was under way when it is told, which is before that panel ends.
+Rules. A panel whose count, or whose length in triggers, is known ends with its last frame. A trigger that brought no
+frame, missed or failed, keeps its place: the panel's later frames stay where they are, a count counts it, and the
+panel has not been seen whole. A panel whose end does not come, whose start did not come, or that began while nobody
+looked, is ended all the same, and says what it misses: no panel goes silently. A trigger that was missed is one of the
+panel's that was under way when it is told, which is before that panel ends.
 
 ``missed`` is everywhere the number of triggers missed in all until then; for a frame, until its own trigger came.
 """
@@ -21,6 +22,10 @@ Done = tuple[PanelFrames, ...]
 
 
 NO_FRAME = "a trigger brought no frame"
+READ_OUT_S = 0.25
+"""A frame that is taken from now on was exposed no longer ago than this."""
+ROUNDING = 1e-9
+"""A length that is a whole number of steps has no step more for a last bit."""
 
 
 @dataclass(slots=True)
@@ -45,7 +50,7 @@ class Panels:
 
     def __init__(self, settings: PanelSettings, missed: int = 0) -> None:
         self._settings, self._frames = settings, settings.frames
-        self._count = settings.frames.count if isinstance(settings.frames, ByCount) else None
+        self._count = _places(settings)
         self._panel: _Panel | None = None
         self._trigger, self._missed = 0, missed
         self._told = missed
@@ -131,17 +136,14 @@ class Panels:
         done = self._passed_over(missed, frame.frame_id)
         if result is None:
             return done
-        beyond_mm = self._beyond_mm(frame)
-        if beyond_mm >= 0:
+        if self._is_beyond(frame.taken_s):
             done += self._end()
         panel = self._panel or self._begin(panel_id, now_s)
-        if self._mm_per_frame is not None and beyond_mm >= self._mm_per_frame:
-            panel.misses(NO_FRAME)
         if panel.first is None:
             panel.first = self._trigger
         if not panel.frames:
             panel.first_taken_s = frame.taken_s
-        travel_mm = self._travelled_mm(panel, frame)
+        travel_mm = self._travelled_mm(panel, frame.taken_s)
         if panel.frames and travel_mm < panel.frames[-1].travel_mm:
             panel.misses("a frame's time lies before that of the one before it")
         panel.frames += (PanelFrame(result, travel_mm),)
@@ -162,6 +164,8 @@ class Panels:
         """No cycle runs; triggers may have been missed, and a panel may have been waited for long enough: frames are
         then counted anew."""
         self._tell(missed)
+        if self._is_beyond(now_s - READ_OUT_S):
+            return self._end()
         if self._panel is None or now_s - self._panel.latest_s < self._settings.timeout_s:
             return ()
         done = self.interrupted(f"neither a frame nor its end came for {self._settings.timeout_s:g} s")
@@ -231,22 +235,36 @@ class Panels:
             self.misses(NO_FRAME)
             self._told = missed
 
-    def _beyond_mm(self, frame: Frame) -> float:
-        """How far this frame is beyond the end of the panel under way, where a length ends it; negative: within."""
+    def _is_beyond(self, taken_s: float) -> bool:
+        """Whether a frame taken then is beyond the end of the panel under way, where length and time end it."""
         panel = self._panel
-        if panel is None or not panel.frames or not isinstance(self._frames, ByLength):
-            return -math.inf
-        return self._travelled_mm(panel, frame) - self._frames.length_mm
+        if panel is None or not panel.frames or self._count or not isinstance(self._frames, ByLength):
+            return False
+        return self._travelled_mm(panel, taken_s) >= self._frames.length_mm
 
     @property
     def _mm_per_frame(self) -> float | None:
         """How far the panel moves from trigger to trigger; None where time says it."""
-        travel = self._settings.travel
-        return None if travel is None or isinstance(travel.by, LineSpeed) else travel.by.mm_per_frame
+        return _mm_per_frame(self._settings)
 
-    def _travelled_mm(self, panel: _Panel, frame: Frame) -> float:
+    def _travelled_mm(self, panel: _Panel, taken_s: float) -> float:
         """How far the panel has moved since its first place, or its first frame where time says it."""
         travel, per_frame = self._settings.travel, self._mm_per_frame
         if travel is not None and isinstance(travel.by, LineSpeed):
-            return (frame.taken_s - panel.first_taken_s) * travel.by.mm_per_s
+            return (taken_s - panel.first_taken_s) * travel.by.mm_per_s
         return 0.0 if per_frame is None or panel.first is None else (self._trigger - panel.first) * per_frame
+
+
+def _mm_per_frame(settings: PanelSettings) -> float | None:
+    travel = settings.travel
+    return None if travel is None or isinstance(travel.by, LineSpeed) else travel.by.mm_per_frame
+
+
+def _places(settings: PanelSettings) -> int | None:
+    """How many triggers a panel takes, where that is known before it comes: so many cover its length."""
+    frames, per_frame_mm = settings.frames, _mm_per_frame(settings)
+    if isinstance(frames, ByCount):
+        return frames.count
+    if isinstance(frames, ByLength) and per_frame_mm:
+        return math.ceil(frames.length_mm / per_frame_mm - ROUNDING)
+    return None

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inspector.acquire.panels import NO_FRAME, Panels
+from inspector.acquire.panels import NO_FRAME, READ_OUT_S, Panels
 from inspector.model import Frame, FrameResult, PanelFrames, Verdict
 from inspector.panel_settings import PanelSettings
 
@@ -313,7 +313,33 @@ def test_a_panel_by_length_whose_first_trigger_was_missed_has_not_been_seen_whol
     line.miss()
     for _ in range(4):
         line.take()
-    assert [whole for _, _, whole in line.shown] == [False, False]
+    assert [whole for _, _, whole in line.shown] == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("length_mm", "step_mm", "frames"), [(25.0, 10.0, 3), (30.0, 10.0, 3), (1.1, 0.1, 11), (0.7, 0.1, 7), (5.0, 9.0, 1)]
+)
+def test_a_length_in_triggers_has_its_verdict_with_the_frame_that_covers_it(
+    length_mm: float, step_mm: float, frames: int
+) -> None:
+    by = {"by": {"kind": "pitch", "mm_per_frame": step_mm}}
+    line = Line({"kind": "length", "length_mm": length_mm}, by)
+    for _ in range(frames - 1):
+        line.take()
+    assert line.shown == []
+    line.take()
+    assert [whole for _, _, whole in line.shown] == [True]
+    assert not line.panels.under_way
+
+
+def test_a_length_in_time_has_its_verdict_when_no_frame_can_be_of_it_any_more() -> None:
+    line = Line({"kind": "length", "length_mm": 25.0}, SPEED)
+    line.take()
+    line.take()
+    begun_s = line.now_s - 0.1
+    assert line.panels.look(begun_s + 0.25 + READ_OUT_S - 0.001, 0) == ()
+    (panel,) = line.panels.look(begun_s + 0.25 + READ_OUT_S + 0.001, 0)
+    assert (len(panel.frames), panel.missing) == (2, ())
 
 
 def test_a_panel_whose_first_frame_failed_has_the_id_that_the_plc_gave_with_it() -> None:
