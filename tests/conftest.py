@@ -16,6 +16,10 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+# Tests start hundreds of processes; without bytecode each compiles the sources anew, and each worker all tests.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 # The same examples in every run: a measurement's tolerance is met or not. `--hypothesis-profile search` looks further.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.register_profile("search", deadline=None)

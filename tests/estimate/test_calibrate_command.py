@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 import yaml
 from board_scene import Scene, render
+from typer.testing import CliRunner
 
 from inspector import calibration_file
+from inspector.cli import app
 
 DATA = Path(__file__).parents[1] / "data"
 TABLE_5_2 = DATA / "thesis" / "table_5_2.csv"
@@ -24,6 +26,14 @@ GRID = ["--pitch-mm", "18.8", "--columns", "6", "--rows", "5"]
 def run(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "inspector.cli", "calibrate", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=60)
+
+
+def refused(*arguments: object) -> str:
+    """What the command line says, in this process: it ended by itself, with status 1."""
+    done = CliRunner().invoke(app, ["calibrate", *map(str, arguments)])
+    assert isinstance(done.exception, SystemExit), done.exception
+    assert done.exit_code == 1
+    return done.output
 
 
 @pytest.mark.parametrize(("method", "mean_px"), [("reprojection", 0.5684), ("tsai", 0.7833)])
@@ -108,9 +118,8 @@ def edited(tmp_path: Path, old: str, new: str) -> Path:
     ],
 )
 def test_bad_points_are_named(tmp_path: Path, old: str, new: str, message: str) -> None:
-    done = run("--points", edited(tmp_path, old, new), "--output", tmp_path / "c.yaml")
-    assert done.returncode == 1
-    assert re.search(message, done.stderr), done.stderr
+    said = refused("--points", edited(tmp_path, old, new), "--output", tmp_path / "c.yaml")
+    assert re.search(message, said), said
     assert not (tmp_path / "c.yaml").exists()
 
 
@@ -132,8 +141,5 @@ def test_bad_points_are_named(tmp_path: Path, old: str, new: str, message: str) 
     ],
 )
 def test_options_that_do_not_fit_are_refused(tmp_path: Path, arguments: list[object], message: str) -> None:
-    done = run(*arguments, "--output", tmp_path / "c.yaml")
-    assert done.returncode == 1
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
+    assert message in refused(*arguments, "--output", tmp_path / "c.yaml")
     assert not (tmp_path / "c.yaml").exists()

@@ -5,6 +5,7 @@ Integers are Python's, of any size; a name that is not declared raises. Time mov
 
 from __future__ import annotations
 
+import gc
 import re
 from collections.abc import Callable, Mapping
 from functools import lru_cache
@@ -127,7 +128,11 @@ class Declared(SimpleNamespace):
 @lru_cache
 def _parsed(source: str) -> dict[str, Any]:
     """The source's types, functions and blocks by name; parsing takes seconds."""
-    parsed = parse_source_code(source)
+    gc.disable()  # nothing of a parse is rubbish before its end, and looking for it takes a third of the time
+    try:
+        parsed = parse_source_code(source)
+    finally:
+        gc.enable()
     if parsed.exception:
         raise parsed.exception
     return {str(getattr(item, "name", None) or item.declaration.name): item for item in parsed.transform().items}
