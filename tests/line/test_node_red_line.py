@@ -81,10 +81,16 @@ class NodeRed:
         with urllib.request.urlopen(request, timeout=30) as answer:
             assert answer.status == 200
 
+    def is_alive(self) -> bool:
+        """Whether the flow says that the station is, in the context that the editor shows."""
+        address = f"http://127.0.0.1:{self._port}/context/flow/{node_red.node_id('tab')}"
+        with urllib.request.urlopen(address, timeout=30) as answer:
+            kept = json.load(answer)["memory"]
+        return "seed_inspector" in kept and '"alive":true' in kept["seed_inspector"]["msg"]
+
     def until(self, name: str, count: int) -> list[Any]:
         """What this debug node has shown, once it is so much."""
-        counts = {name: len(told) for name, told in self.told.items()}
-        self._wait_until(lambda: len(self.told[name]) >= count, f"{count} of {name}: {counts}; {self.log}", 60)
+        self._wait_until(lambda: len(self.told[name]) >= count, f"{count} of {name}; log: {self.log}", 60)
         return self.told[name]
 
     def causes(self) -> list[str]:
@@ -158,6 +164,7 @@ def test_a_real_node_red_takes_each_result_once_and_tells_a_stopped_station(
     running.until(lambda r: Answer.TRIGGER_READY in Answer(r["handshake"]), "ready for triggers")
     red = node_red_with(port)
     plc = running.plc()
+    wait_until(red.is_alive, "the flow sees a heartbeat", 60)
 
     for count in range(1, 7):
         red.press("Trigger, next panel")
