@@ -93,6 +93,7 @@ registers. A panel is good only in a message of *Inspection*'s third output with
 So that no result is taken twice over a restart of Node-RED either, let its settings keep context in files:
 `contextStorage: {{default: {{module: "localfilesystem"}}}}`.
 
-Tested with {tested}.
-Try trigger, fault and recipe with your own versions before production, by commissioning.md.
+Tested with {tested};
+by hand also with Node-RED 5.0.7, its nodes' 5.60.2 (with the same) and Node.js 22. Try trigger, fault and recipe with
+your own versions before production, by commissioning.md.
 """
