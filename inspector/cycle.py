@@ -133,11 +133,11 @@ class Cycle:
         except BridgeError as error:
             return self._failed(last, fault_of(error), str(error), started_s)
         except LightWrong as error:
-            self._light.begins(error)
+            self._light.begins(error, fault_code=error.fault)
             return self._failed(last, error.fault, str(error), started_s)
         except Exception as error:
             what = f"{type(error).__name__}: {error}"
-            self._program.begins(what, traceback=True)
+            self._program.begins(what, traceback=True, fault_code=Fault.INTERNAL)
             return self._failed(last, Fault.INTERNAL, what, started_s)
 
     def keep_ready(self, last: Snapshot) -> Snapshot:
@@ -295,7 +295,8 @@ class Cycle:
         """The lamp's level for the next frame; a lamp that comes near its end is said once."""
         self._tuning.trim(frame, now_s)
         if self._tuning.is_weak and not self._weak:
-            log.warning("fault %d: %s. %s", Fault.LAMP_WEAK, Fault.LAMP_WEAK.meaning, Fault.LAMP_WEAK.remedy)
+            weak = Fault.LAMP_WEAK
+            log.warning("fault %d: %s. %s", weak, weak.meaning, weak.remedy, extra={"fault_code": weak})
         self._weak = self._tuning.is_weak
 
     def _failed(self, last: Snapshot, fault: Fault, why: str, started_s: float, frame: Frame | None = None) -> Turn:

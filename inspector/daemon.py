@@ -28,6 +28,7 @@ from inspector.panel_work import PanelWork
 from inspector.plc_commands import carried_out
 from inspector.publish import console
 from inspector.publish.plc_server import PlcServerError
+from inspector.publish.result_log import Tell, on_terminal
 from inspector.settings import Settings, SettingsError, configuration_hash, load, with_recipe
 from inspector.signals import Signals, StopRequested
 from inspector.stages import Inspection, inspection_of
@@ -53,7 +54,7 @@ class Limits:
 
 class Daemon:
     """One station at work, behind its ``front``, which serves already. ``inspection`` and ``build`` make the inspection
-    and the devices of settings."""
+    and the devices of settings; ``tell`` is told each result."""
 
     def __init__(
         self,
@@ -63,6 +64,7 @@ class Daemon:
         *,
         inspection: Callable[[Settings], Inspection] = inspection_of,
         build: Callable[..., factory.Devices] = factory.build,
+        tell: Tell = on_terminal,
     ) -> None:
         self._file, self._front, self._signals = file, front, signals
         self._settings, self._settings_recipe_id = front.settings, front.settings_recipe_id
@@ -76,6 +78,7 @@ class Daemon:
             Command.DISCARD_RESULTS: lambda _: self._control.discard_results(),
             Command.RESET_STATISTICS: self._reset_statistics,
         }
+        self._tell = tell
         self._panels: PanelWork | None = None
         self._spoken_s = -math.inf
 
@@ -279,7 +282,7 @@ class Daemon:
     def _publish(self, result: Snapshot, name: str, why: tuple[str, ...]) -> None:
         """A result for everybody."""
         self._show(self._history.after(result))
-        console.say(console.panel_line(self._snapshot, name, why))
+        self._tell(self._settings.log, self._snapshot, name, why)
 
     def _obey(self) -> None:
         """Do what the PLC asks besides inspections."""
@@ -346,7 +349,7 @@ class Daemon:
 
     def _refuse(self) -> None:
         fault = Fault.SETTINGS_REFUSED
-        log.error("fault %d: %s. %s", fault, fault.meaning, fault.remedy)
+        log.error("fault %d: %s. %s", fault, fault.meaning, fault.remedy, extra={"fault_code": fault})
         self._snapshot = replace(self._snapshot, settings_refused=True)
 
     def _take_over(self, new: Settings, *, renews_certificates: bool = False) -> None:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import logging
-import os
+import sys
 from pathlib import Path
 
+from inspector import journal_log
 from inspector.front import Front, log_problems
+from inspector.journal_log import JournalHandler, TextFormatter, leads_to_journal
+from inspector.metrics.table import Gauges
 from inspector.publish.plc_server import PlcServerError
+from inspector.publish.result_log import ResultLog, on_terminal
 from inspector.settings import SettingsError, load
 from inspector.signals import Signals
 
@@ -24,9 +28,11 @@ def run(file: Path, panels: int | None = None, duration_s: float | None = None) 
     """
     signals = Signals()
     signals.install()
-    _log_to_stderr()
+    gauges = _begin_log()
+    tell = ResultLog().tell if leads_to_journal(sys.stdout.fileno()) else on_terminal
     try:
         front = Front(load(file), signals)
+        front.outlets.gauges += gauges
         front.start()
     except SettingsError as error:
         log_problems(error)
@@ -36,11 +42,15 @@ def run(file: Path, panels: int | None = None, duration_s: float | None = None) 
         return EXIT_PORT_TAKEN
     from inspector.daemon import Daemon, Limits  # the registers are answered while these are imported
 
-    Daemon(file, front, signals).run(Limits(panels, duration_s))
+    Daemon(file, front, signals, tell=tell).run(Limits(panels, duration_s))
     return EXIT_STOPPED
 
 
-def _log_to_stderr() -> None:
-    """One line an event; the journal stamps its own time."""
-    stamp = "" if "JOURNAL_STREAM" in os.environ else "%(asctime)s "
-    logging.basicConfig(level=logging.INFO, format=f"{stamp}%(levelname)s %(message)s")
+def _begin_log() -> tuple[Gauges, ...]:
+    """One line an event: to the journal by its own protocol if stderr leads there, else as text to stderr. What the log
+    offers to be measured."""
+    journal = JournalHandler(journal_log.SOCKET) if leads_to_journal(sys.stderr.fileno()) else None
+    text = logging.StreamHandler()
+    text.setFormatter(TextFormatter("%(asctime)s %(levelname)s %(message)s"))
+    logging.basicConfig(level=logging.INFO, handlers=[journal or text])
+    return (lambda: {"inspector_log_lines_lost_total": journal.lost},) if journal else ()

@@ -27,6 +27,7 @@ from inspector.judge.spc.settings import StatisticsSettings
 from inspector.metrics.settings import MetricsSettings
 from inspector.panel_settings import PanelSettings
 from inspector.publish.plc_settings import PlcSettings
+from inspector.publish.result_log import LogSettings
 from inspector.recipe import Recipe, find
 from inspector.yaml_document import Document, Place, Problem
 
@@ -150,6 +151,8 @@ class Settings(Strict):
     """What makes a panel of frames; by default each frame is one."""
     light: LightSettings | None = None
     """The reference patch by which the light is kept constant; null: there is none."""
+    log: LogSettings = LogSettings()
+    """What is logged."""
     metrics: MetricsSettings | None = None
     """Measured values for Prometheus; null: they are not served."""
     statistics: StatisticsSettings = StatisticsSettings.default()

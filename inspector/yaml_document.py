@@ -23,6 +23,11 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 
 VALUE_CHARACTERS = 60
 """Longer values are cut in messages."""
+SECRET = re.compile(r"passw|passphrase|secret|token|credential", re.IGNORECASE)
+"""Keys, right or misspelt, whose values no message shows."""
+IN_ADDRESS = re.compile(r"(//[^/@\s]*?:)[^/@\s]*@")
+"""A password in an address, with what stands before it."""
+HIDDEN = "(hidden)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +56,8 @@ class Document:
         """A problem with what stands at ``place``, or with its nearest surrounding that stands in the file."""
         ends = (place[:end] for end in range(len(place), -1, -1))
         mark = next((self.marks[known] for known in ends if known in self.marks), self.source)
-        return Problem(mark, path_text(place), short(value), allowed)
+        hidden = not isinstance(value, _Verbatim) and any(SECRET.search(str(part)) for part in place)
+        return Problem(mark, path_text(place), HIDDEN if hidden else short(value), allowed)
 
     def including(self, key: str, part: Document) -> Document:
         """This document with the value of its top-level ``key`` taken from another file; without it, if that failed."""
@@ -261,9 +267,15 @@ def path_text(place: Place) -> str:
 
 
 def short(value: object) -> str:
-    """A value for a message, cut if it is long."""
-    text = repr(value)
+    """A value for a message, cut if it is long; without what is nobody's business."""
+    text = IN_ADDRESS.sub(rf"\1{HIDDEN}@", repr(_without_secrets(value)))
     return text if len(text) <= VALUE_CHARACTERS else text[: VALUE_CHARACTERS - 3] + "..."
+
+
+def _without_secrets(value: object) -> object:
+    if isinstance(value, dict):
+        return {key: HIDDEN if SECRET.search(str(key)) else _without_secrets(below) for key, below in value.items()}
+    return [_without_secrets(item) for item in value] if isinstance(value, list) else value
 
 
 def mappings(data: object, place: Place = ()) -> Iterator[tuple[Place, Mapping[str, object]]]:

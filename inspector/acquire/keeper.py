@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from firmware_bridge.errors import BridgeError, NoTrigger
+from inspector.acquire.device_faults import fault_of
 from inspector.acquire.outage import Outage
 
 
@@ -137,7 +138,7 @@ class Keeper(Generic[DeviceT]):
 
     def _failed(self, error: BridgeError) -> None:
         self._error = error
-        self._outage.begins(error)
+        self._outage.begins(error, device=error.device, fault_code=fault_of(error))
         self._open, self._broken, self._works_since_s = False, True, None
         self._due_s = self._clock() + self._delay_s
         self._delay_s = min(2 * self._delay_s, self.retry.longest_s)

@@ -49,7 +49,6 @@ class Scrape:
     posting: Outbox | None = None
     """None where nothing is posted."""
     process: Process | None = None
-    log_lines_lost: int = 0
     more: Mapping[str, float] = field(default_factory=dict)
     """What other parts offer, by the metrics' names."""
 
@@ -97,6 +96,11 @@ def _one(value: Callable[[Scrape], One]) -> Callable[[Scrape], Iterator[Sample]]
             yield (), number
 
     return samples
+
+
+def _offered(name: str) -> Callable[[Scrape], Iterator[Sample]]:
+    """What another part offers under this name; none where that part is not at work."""
+    return _one(lambda s: s.more.get(name))
 
 
 def _flags(names: Iterable[str], are_set: Callable[[Scrape], Iterable[str]]) -> Callable[[Scrape], Iterator[Sample]]:
@@ -181,7 +185,7 @@ STATION = (
     _M("inspector_clock_seconds", "gauge", "Station", "Unix time by the station's clock", _one(lambda s: s.unix_s),
        query="inspector_clock_seconds - timestamp(inspector_clock_seconds)"),
     _M("inspector_log_lines_lost_total", "counter", "Station", "Lines that the journal did not take",
-       _one(lambda s: s.log_lines_lost)),
+       _offered("inspector_log_lines_lost_total")),
 )  # fmt: skip
 
 RESULTS = (

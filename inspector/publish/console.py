@@ -35,9 +35,11 @@ def how_to_poll(host: str, port: int) -> str:
     )
 
 
-def panel_line(snapshot: Snapshot, name: str, texts: tuple[str, ...]) -> str:
+def panel_line(snapshot: Snapshot, name: str, texts: tuple[str, ...], *, coloured: bool = True) -> str:
     """One panel: number, verdict, defects with their heights, time, frame, and why."""
-    verdict = typer.style(f"{snapshot.verdict.name:13}", fg=COLOURS[snapshot.verdict])
+    verdict = f"{snapshot.verdict.name:13}"
+    if coloured:
+        verdict = typer.style(verdict, fg=COLOURS[snapshot.verdict])
     fault = next(fault for fault in Fault if fault == snapshot.fault_code)
     why = texts or ((f"{fault.name}: {fault.meaning}",) if fault else ())
     seen = f"{_defects(snapshot):44}  {snapshot.elapsed_us / 1000:7.2f} ms  {name}" if name else ""

@@ -250,7 +250,8 @@ class PlcServer:
         self._stalled = stalled
         self._stalls += stalled
         if stalled:
-            log.error("Inspection cycle has not turned for %g s: the PLC is told", allowed_s)
+            code = {"fault_code": Fault.CYCLE_STALLED}
+            log.error("Inspection cycle has not turned for %g s: the PLC is told", allowed_s, extra=code)
         else:
             log.info("Inspection cycle turns again")
 

@@ -45,9 +45,8 @@ def scrape() -> Scrape:
     observed.grab.add(0.012)
     observed.module_request.add(0.003)
     plc = replace(PlcServer().diagnostics, connected=2, requests=100, exceptions={1: 3, 2: 4}, stalls=1)
-    return Scrape(
-        STATION, observed, plc, 7.5, 1.8e9, "line 4", "1.2.3", 0.02, Outbox(8, False, STATION, lost=3), process.now()
-    )
+    box, offered = Outbox(8, False, STATION, lost=3), {"inspector_log_lines_lost_total": 1}
+    return Scrape(STATION, observed, plc, 7.5, 1.8e9, "line 4", "1.2.3", 0.02, box, process.now(), offered)
 
 
 @pytest.fixture
