@@ -39,6 +39,8 @@ docs: $(VENV)/run.stamp  ## Write again what is generated from the code.
 	$(BIN)/inspector io profiles --format markdown > docs/modules.md
 	$(BIN)/inspector faults --format markdown > docs/faults.md
 	$(BIN)/inspector reinspect-columns > docs/reinspect.md
+	$(BIN)/python -m inspector.metrics.dashboard dashboard > deploy/prometheus/dashboard.json
+	$(BIN)/python -m inspector.metrics.dashboard markdown > docs/metrics.md
 
 dist: $(VENV)/run.stamp  ## Build source distribution and wheel into dist/; ARCH=arm64 for another machine than this.
 	$(BIN)/python deploy/build_wheel.py $(ARCH:%=--arch %)

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
+import urllib.error
+import urllib.parse
 import urllib.request
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from inspector.metrics.table import METRICS
+
+RULES_FOLDER = Path(__file__).parents[2] / "deploy" / "prometheus"
 SAME = {
     "inspector_result_sequence": "sequence_u32",
     'inspector_results_total{verdict="PASS"}': "panels_passed",
@@ -145,3 +153,81 @@ def test_a_station_without_metrics_loads_nothing_for_them() -> None:
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout == "[]\n"
+
+
+@pytest.fixture
+def prometheus(
+    tmp_path: Path, peer: Callable[[str, str], str], wait_until: Callable[..., Any]
+) -> Iterator[Callable[[int], Callable[[str], Any]]]:
+    """``prometheus(port)``: a server that scrapes this port; it gives what answers queries of its API."""
+    program, started = peer("prometheus", "prometheus"), []
+
+    def start(port: int) -> Callable[[str], Any]:
+        text = (RULES_FOLDER / "prometheus.yml").read_text().replace("9464", str(port)).replace("15s", "1s")
+        (tmp_path / "prometheus.yml").write_text(text)
+        shutil.copy(RULES_FOLDER / "alerts.yml", tmp_path)
+        command = [program, f"--config.file={tmp_path}/prometheus.yml", f"--storage.tsdb.path={tmp_path}/data"]
+        log = (tmp_path / "log").open("w")
+        started.append(subprocess.Popen([*command, "--web.listen-address=127.0.0.1:0"], stderr=log, stdout=log))
+        own = int(wait_until(lambda: _listening(started[0].pid), "Prometheus listens", 60))
+
+        def query(expression: str) -> Any:
+            address = f"http://127.0.0.1:{own}/api/v1/query?" + urllib.parse.urlencode({"query": expression})
+            try:
+                with urllib.request.urlopen(address, timeout=20) as answer:
+                    return json.loads(answer.read())["data"]["result"]
+            except urllib.error.HTTPError as error:
+                if error.code == 503:
+                    return []  # it is not ready yet
+                raise
+
+        return query
+
+    yield start
+    for process in started:
+        process.send_signal(signal.SIGTERM)
+        process.wait(60)
+
+
+def _listening(pid: int) -> str | None:
+    """The port that a process listens on, as the kernel says."""
+    inodes = {link.readlink().name for link in Path(f"/proc/{pid}/fd").iterdir() if link.is_symlink()}
+    for table_ in ("tcp", "tcp6"):
+        for line in Path(f"/proc/{pid}/net/{table_}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[3] == "0A" and f"socket:[{fields[9]}]" in inodes:
+                return str(int(fields[1].rpartition(":")[2], 16))
+    return None
+
+
+@pytest.mark.long
+def test_prometheus_sees_what_the_plc_sees(
+    station: Any,
+    module: Callable[..., Any],
+    service: Callable[..., Any],
+    metrics_port: Callable[[Any], int],
+    prometheus: Callable[[int], Callable[[str], Any]],
+    wait_until: Callable[..., Any],
+) -> None:
+    """Debian's Prometheus with the rules of deploy/ scrapes a station: its numbers, and the alert of a fault."""
+    plugged = module()
+    station.settings |= {"metrics": {"port": 0}, "cycle": {"trigger": {"kind": "by_hand"}, "retry_first_s": 0.05}}
+    station.write()
+    at_work = service()
+    at_work.until(lambda r: r["state"] == 2, "ready")
+    at_work.send(signal.SIGUSR1)
+    registers = at_work.until(lambda r: r["sequence"] == 1 and r["state"] == 2, "a result")
+    query = prometheus(metrics_port(at_work))
+
+    def value(expression: str) -> float | None:
+        found = query(expression)
+        return float(found[0]["value"][1]) if found else None
+
+    wait_until(lambda: value("inspector_result_sequence") == 1, "the result in Prometheus", 60)
+    for expression, register in SAME.items():
+        assert value(expression) == registers[register]
+    for metric in METRICS:
+        assert query(metric.shown) is not None
+    wait_until(lambda: value("rate(inspector_cycle_seconds_count[5m])") is not None, "a rate", 60)
+    plugged.stop()
+    wait_until(lambda: value('ALERTS{alertname="InspectorFault"}'), "the alert, pending", 60)
