@@ -172,7 +172,7 @@ def test_which_results_the_journal_is_told(results: Any, told: str, caplog: pyte
     result_log = ResultLog()
     for result in (PASS, FAIL, FAIL, BLACK, BLACK, GONE, PASS, BLACK):
         result_log.tell(LogSettings(results=results), result, "frame", ())
-    assert " ".join(record.verdict for record in caplog.records) == told  # type: ignore[attr-defined]  # by extra
+    assert " ".join(record.verdict for record in caplog.records) == told
 
 
 STDERR_IS_THE_JOURNAL = """
@@ -218,7 +218,7 @@ def test_a_station_whose_output_leads_to_the_journal(
     assert (once["FAULT_CODE"], once["PRIORITY"]) == (b"101", b"4")
     module()
     between: list[dict[str, bytes]] = []
-    journalled(lambda e: between.append(e) or b"works again" in e["MESSAGE"])  # type: ignore[func-returns-value]  # adds
+    journalled(lambda e: between.append(e) or b"works again" in e["MESSAGE"])
     assert {e["FAULT_CODE"] for e in between if e.get("VERDICT") == b"NOT_INSPECTED"} <= {b"102", b"103"}
     printed = (tmp_path / "stream").read_text()
     assert "mbpoll" in printed
