@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from inspector.cli_page import page
 from inspector.cli_recipes import recipe_app
 from inspector.cli_sessions import Method, sessions_app
 
@@ -26,6 +27,7 @@ lamp_app = typer.Typer(help="The lamp: its curve.", no_args_is_help=True)
 app.add_typer(lamp_app, name="lamp")
 app.add_typer(recipe_app, name="recipe")
 app.add_typer(sessions_app)
+app.command()(page)
 simulate_app = typer.Typer(help="Simulated devices, to try PLC and settings without hardware.", no_args_is_help=True)
 app.add_typer(simulate_app, name="simulate-device")
 

@@ -130,8 +130,9 @@ every result once, and gives commands.
 10. The station must show a new `heartbeat` within two seconds, whatever it was asked.
 11. People at the operator's page change the recipe too, clear faults and reset the statistics, by a block of their own
    (from {operator}) that no PLC writes. Their CLEAR_FAULT leaves TRIGGER_MISSED and OVERRUN to the PLC, and what they
-   ask for shows in none of the PLC's answers: see `recipe_id`. A PLC that decides the recipe alone sets
-   `page.allow_commands: false`.
+   ask for shows in none of the PLC's answers: see `recipe_id`. Another recipe takes the
+   last verdict back (NOT_INSPECTED) unless it is held: a PLC that must not miss one sets BUFFER_RESULTS, and one that
+   decides the recipe alone `page.allow_commands: false`.
 
 ## Dialogues
 What the PLC reads is shown as far as it has changed; in the first line, what is not shown is 0. Numbers are as on the

@@ -25,6 +25,7 @@ from inspector.calibration_file import CalibrationError
 from inspector.calibration_file import read as read_calibration
 from inspector.judge.spc.settings import StatisticsSettings
 from inspector.metrics.settings import MetricsSettings
+from inspector.page_settings import PageSettings
 from inspector.panel_settings import PanelSettings
 from inspector.publish.plc_settings import PlcSettings
 from inspector.publish.result_log import LogSettings
@@ -157,6 +158,8 @@ class Settings(Strict):
     """Measured values for Prometheus; null: they are not served."""
     statistics: StatisticsSettings = StatisticsSettings.default()
     """Statistics of the paint line."""
+    page: PageSettings = PageSettings()
+    """The operator's page."""
     statistics_file: Annotated[Path, Field(strict=False)] | None = None
     """File in which the statistics are kept over restarts; null: they begin anew with each."""
 
@@ -168,6 +171,7 @@ class Settings(Strict):
                 "camera": self.camera.under(folder),
                 "lamp": self.lamp.under(folder),
                 "plc": self.plc.under(folder),
+                "page": self.page.under(folder),
                 "recipe_choice_file": self.recipe_choice_file and folder / self.recipe_choice_file,
                 "statistics_file": self.statistics_file and folder / self.statistics_file,
             },
@@ -243,6 +247,7 @@ def configuration_hash(settings: Settings) -> int:
         exclude={
             "calibration": True,
             "lamp": {"hours_file"},
+            "page": True,
             "plc": {"sequence_file"},
             "recipe_choice_file": True,
             "statistics_file": True,

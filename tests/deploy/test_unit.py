@@ -9,16 +9,17 @@ from pathlib import Path
 
 import pytest
 
-UNIT = Path(__file__).parents[2] / "deploy" / "inspector.service"
+DEPLOY = Path(__file__).parents[2] / "deploy"
+UNIT = DEPLOY / "inspector.service"
 PROGRAM = "/usr/bin/inspector"
 
 
-@pytest.fixture
-def installed(tmp_path: Path) -> Path:
-    """The unit as it is where its program is installed: there it is this environment's."""
-    text = UNIT.read_text()
+@pytest.fixture(params=["inspector.service", "inspector-page.service"])
+def installed(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    """A unit as it is where its program is installed: there it is this environment's."""
+    text = (DEPLOY / request.param).read_text()
     assert PROGRAM in text
-    unit = tmp_path / UNIT.name
+    unit = tmp_path / request.param
     unit.write_text(text.replace(PROGRAM, str(Path(sys.executable).parent / "inspector")))
     return unit
 
@@ -49,3 +50,17 @@ def test_the_unit_says_what_the_service_relies_on() -> None:
     ):
         assert line in lines
     assert any(line.startswith("WatchdogSec=") for line in lines)
+
+
+def test_the_pages_unit_reaches_this_machine_alone_and_no_device() -> None:
+    lines = (DEPLOY / "inspector-page.service").read_text().splitlines()
+    for line in (
+        "DynamicUser=yes",
+        "IPAddressDeny=any",
+        "IPAddressAllow=localhost",
+        "PrivateDevices=yes",
+        "CapabilityBoundingSet=",
+        "RestartPreventExitStatus=78",
+    ):
+        assert line in lines
+    assert not [line for line in lines if line.startswith("DeviceAllow=")]
