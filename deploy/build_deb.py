@@ -98,14 +98,15 @@ def make_environment(root: Path) -> None:
 
 
 def add_settings(root: Path) -> None:
-    """What a new station begins with, its unit, and who may use its cameras."""
+    """What a new station begins with, its units, and who may use its cameras."""
     settings = root / SHARE / "config"
     shutil.copytree(REPOSITORY / "config", settings, ignore=shutil.ignore_patterns("frames"))
     (settings / "demo.yaml").unlink()
     units, rules = root / "lib/systemd/system", root / "lib/udev/rules.d"
     units.mkdir(parents=True)
     rules.mkdir(parents=True)
-    shutil.copy(REPOSITORY / "deploy/inspector.service", units)
+    for unit in ("inspector.service", "inspector-page.service"):
+        shutil.copy(REPOSITORY / "deploy" / unit, units)
     shutil.copy(DEBIAN / "udev.rules", rules / f"60-{NAME}.rules")
 
 

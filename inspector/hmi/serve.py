@@ -14,7 +14,7 @@ import yaml
 from pydantic import ValidationError
 
 from firmware_bridge import factory
-from inspector.hmi import gate, texts
+from inspector.hmi import gate, texts, texts_file
 from inspector.hmi.gate import Gate
 from inspector.hmi.known import Settled
 from inspector.hmi.page import Page
@@ -43,7 +43,7 @@ def run(config: Path, host: str | None, port: int | None) -> int:
         settings = load(config)
         given = {name: value for name, value in (("host", host), ("port", port)) if value is not None}
         page = PageSettings(**(settings.page.model_dump() | given))
-        words, problems = texts.load(page.texts_file)
+        words, problems = texts_file.load(page.texts_file)
         if problems:
             raise SettingsError(problems)
     except SettingsError as error:

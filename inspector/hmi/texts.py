@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
-from inspector import yaml_document
 from inspector.faults import Fault
 from inspector.handshake_table import COMMAND_MEANINGS, RESULT_MEANINGS
 from inspector.line_statistics import ACTION_MEANINGS, RULE_MEANINGS
 from inspector.model import Flag, Reason
 from inspector.publish.registers_page import STATE_MEANINGS
-from inspector.yaml_document import Problem
 
 Texts = Mapping[str, str]
 
@@ -148,33 +145,6 @@ def english() -> dict[str, str]:
     told |= _by_name("result", RESULT_MEANINGS) | _by_name("does", COMMAND_MEANINGS)
     told |= _in_words("reason", Reason) | _in_words("flag", Flag)
     return told | _OWN
-
-
-def load(file: Path | None) -> tuple[dict[str, str], tuple[Problem, ...]]:
-    """The table with a file's texts in place of its own, and what is wrong with that file."""
-    told = english()
-    if file is None:
-        return told, ()
-    document = yaml_document.read(file)
-    if document.problems or not isinstance(document.data, dict):
-        return told, document.problems or (Problem(str(file), "", "", "allowed: keys with their texts"),)
-    problems: list[Problem] = []
-    for key, text in document.data.items():
-        if key not in told:
-            problems.append(
-                document.problem((str(key),), text, "no such text; `inspector page --print-texts` lists them")
-            )
-        elif not isinstance(text, str) or _blanks(text) != _blanks(told[key]):
-            kept = " ".join(sorted(_blanks(told[key]))) or "none"
-            problems.append(document.problem((key,), text, f"allowed: a text with these blanks: {kept}"))
-        else:
-            told[key] = text
-    return told, tuple(problems)
-
-
-def _blanks(text: str) -> set[str]:
-    """What a text leaves open, as {count}."""
-    return {part.split("}")[0] for part in text.split("{")[1:]}
 
 
 def _by_name(prefix: str, meanings: Mapping[Any, str]) -> dict[str, str]:

@@ -17,7 +17,7 @@ from inspector import handshake
 from inspector.faults import Fault
 from inspector.handshake import Handshake
 from inspector.handshake_table import Action, Answer, CommandResult
-from inspector.hmi import commands, gate, history, texts, view
+from inspector.hmi import commands, gate, history, texts, texts_file, view
 from inspector.hmi.commands import Asked, Deed, Outcome
 from inspector.hmi.gate import Gate, NoPassword
 from inspector.hmi.look import STILL_S, Look
@@ -201,12 +201,12 @@ def test_every_text_of_the_files_is_in_the_table() -> None:
 def test_a_plants_own_texts_replace_those_of_the_table_and_no_others(tmp_path: Path) -> None:
     file = tmp_path / "de.yaml"
     file.write_text(yaml.safe_dump({"verdict.FAIL": "AUSSCHUSS", "fault.301": "Die Kamera fehlt"}))
-    told, problems = texts.load(file)
+    told, problems = texts_file.load(file)
     assert not problems
     assert (told["verdict.FAIL"], told["fault.301"]) == ("AUSSCHUSS", "Die Kamera fehlt")
     file.write_text(yaml.safe_dump({"verdict.MAYBE": "?", "value.panel": "Teil", "button.cancel": 3}))
-    assert len(texts.load(file)[1]) == 3
-    assert texts.load(tmp_path / "none.yaml")[1]
+    assert len(texts_file.load(file)[1]) == 3
+    assert texts_file.load(tmp_path / "none.yaml")[1]
 
 
 @pytest.mark.parametrize(

@@ -248,9 +248,9 @@ def test_a_plc_at_full_pace_loses_nothing_while_people_change_the_recipe(
     for result in line.results:
         assert (result["recipe_id"], result["verdict"]) in ((1, Verdict.PASS), (2, Verdict.FAIL))
     assert {r["recipe_id"] for r in line.results} == {1, 2}
-    carried_out = [entry for entry in running.log if "Operator command 1 (CHANGE_RECIPE)" in entry]
-    assert len(carried_out) == CHANGES
-    assert all("carried out" in entry for entry in carried_out)
+    entries = [entry for entry in running.log if "Operator command 1 (CHANGE_RECIPE)" in entry]
+    assert len(entries) == CHANGES
+    assert all("carried out" in entry for entry in entries)
 
 
 @pytest.fixture
