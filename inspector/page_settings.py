@@ -8,7 +8,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from inspector.recipe import Strict
+from firmware_bridge.strict import Strict
 
 FilePath = Annotated[Path, Field(strict=False)]
 
