@@ -38,12 +38,12 @@ class TimedMaster(ModbusMaster):
     """A master whose every request is held to the deadline, with the time that its clock says."""
 
     def read(self, *arguments: Any) -> list[int]:
-        return self._timed(super().read, *arguments)
+        return self._held_to_deadline(super().read, *arguments)
 
     def write(self, *arguments: Any) -> None:
-        self._timed(super().write, *arguments)
+        self._held_to_deadline(super().write, *arguments)
 
-    def _timed(self, request: Any, *arguments: Any) -> Any:
+    def _held_to_deadline(self, request: Any, *arguments: Any) -> Any:
         started_s = self._clock()
         try:
             return request(*arguments)
