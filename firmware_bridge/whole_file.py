@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
 from contextlib import suppress
@@ -11,8 +12,10 @@ from pathlib import Path
 def write(path: Path, content: str | bytes) -> None:
     """Write a file beside ``path``, to the disk, and only then give it its name; an old one's mode is kept.
 
-    Raises OSError, and then ``path`` is as it was.
+    Raises OSError, and then ``path`` is as it was: also where it is a device or a folder, which nothing may replace.
     """
+    if path.exists() and not path.is_file():
+        raise FileExistsError(errno.EEXIST, "is no ordinary file: name another", str(path))
     beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     try:
         with beside.open("xb") as file:

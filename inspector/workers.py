@@ -5,10 +5,12 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from multiprocessing.connection import Connection
 from typing import TypeVar
 
 Task = TypeVar("Task")
@@ -39,10 +41,11 @@ def share(work: Callable[[Task], Made], tasks: Sequence[tuple[int, Task]], jobs:
         return
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([getattr(work, "func", work).__module__])
+    alive, _ours = context.Pipe(duplex=False)  # closed with this process, however it ends
     left, tries = dict(tasks), 0
     while left:
         before = len(left)
-        with ProcessPoolExecutor(min(jobs, len(left)), context, _begin_process) as pool:
+        with ProcessPoolExecutor(min(jobs, len(left)), context, _begin_process, (alive,)) as pool:
             futures = {pool.submit(work, task): number for number, task in left.items()}
             try:
                 for number, made in _done(futures):
@@ -64,10 +67,16 @@ def _done(futures: dict[Future[Made], int]) -> Iterator[tuple[int, Made]]:
         yield futures.pop(future), future.result()
 
 
-def _begin_process() -> None:
-    """Ctrl-C is for the one that shares the work out."""
+def _begin_process(alive: Connection) -> None:
+    """Ctrl-C is for the one that shares the work out; and when that one is gone, nobody wants the work."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(alive,), daemon=True).start()
     _begin()
+
+
+def _end_with(alive: Connection) -> None:
+    alive.poll(None)
+    os._exit(1)
 
 
 def _begin() -> None:

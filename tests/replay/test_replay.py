@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -266,3 +269,36 @@ def test_a_killed_process_costs_what_it_was_at_once_more(tmp_path: Path) -> None
 def test_processes_that_die_each_time_are_given_up(tmp_path: Path) -> None:
     with pytest.raises(workers.WorkersDied):
         list(workers.share(recorded_sessions.dies, [(0, tmp_path), (1, tmp_path)], 2))
+
+
+SHARES = """
+import sys
+from pathlib import Path
+import recorded_sessions
+from inspector import workers
+
+if __name__ == "__main__":
+    list(workers.share(recorded_sessions.stays, [(0, Path(sys.argv[1])), (1, Path(sys.argv[1]))], 2))
+"""
+
+
+def test_processes_end_with_the_one_that_shares_the_work_out(tmp_path: Path, wait_until: Callable[..., Any]) -> None:
+    script = tmp_path / "shares.py"
+    script.write_text(SHARES)
+    support = str(Path(recorded_sessions.__file__).parent)
+    sharing = subprocess.Popen([sys.executable, script, tmp_path], env=os.environ | {"PYTHONPATH": support})
+    try:
+        wait_until(lambda: len(list(tmp_path.glob("*.pid"))) == 2, "two processes at work")
+    finally:
+        sharing.kill()
+        sharing.wait()
+    for file in tmp_path.glob("*.pid"):
+        state = Path("/proc") / file.stem / "stat"
+        wait_until(lambda state=state: not state.exists() or ") Z " in state.read_text(), f"process {file.stem} ends")
+
+
+def test_a_device_is_never_replaced_by_a_report(recorded: Path) -> None:
+    done = replayed(recorded, "--output", "/dev/full", "--state", recorded.parent / "state")
+    assert done.exit_code == 2
+    assert "/dev/full" in done.stderr
+    assert not Path("/dev/full").is_file()

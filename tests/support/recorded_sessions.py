@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -90,3 +91,9 @@ def dies_once(marker: Path) -> int:
 def dies(_: Path) -> int:
     os.kill(os.getpid(), signal.SIGKILL)
     return 0
+
+
+def stays(folder: Path) -> None:
+    """Says in the folder which process is at this, and never ends."""
+    (folder / f"{os.getpid()}.pid").touch()
+    threading.Event().wait()

@@ -1,0 +1,93 @@
+"""PNG files of any filter, depth and size give the pixels that were put in, whichever way they are decoded."""
+
+from __future__ import annotations
+
+import struct
+import sys
+import zlib
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from firmware_bridge.wire import image
+from inspector.model import Image
+
+IMAGES = st.sampled_from([np.uint8, np.uint16]).flatmap(
+    lambda kind: arrays.arrays(kind, arrays.array_shapes(min_dims=2, max_dims=2, max_side=7))
+)
+
+
+def paeth(left: int, above: int, corner: int) -> int:
+    """The predictor of that name (PNG specification, 9.4)."""
+    away = [(abs(left + above - corner - value), value) for value in (left, above, corner)]
+    return min(away, key=lambda pair: pair[0])[1]
+
+
+def filtered(pixels: Image, kinds: Sequence[int]) -> bytes:
+    """The rows' bytes, each less what its filter foretells: 0 nothing, 1 left, 2 above, 3 their mean, 4 Paeth."""
+    depth, out = pixels.dtype.itemsize, bytearray()
+    rows = [list(row.astype(pixels.dtype.newbyteorder(">")).tobytes()) for row in pixels]
+    for y, (row, kind) in enumerate(zip(rows, kinds, strict=True)):
+        over = rows[y - 1] if y else [0] * len(row)
+        out.append(kind)
+        for x, byte in enumerate(row):
+            left, corner = (row[x - depth], over[x - depth]) if x >= depth else (0, 0)
+            told = (0, left, over[x], (left + over[x]) // 2, paeth(left, over[x], corner))[kind]
+            out.append((byte - told) % 256)
+    return bytes(out)
+
+
+def chunk(kind: bytes, body: bytes) -> bytes:
+    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+
+def png(pixels: Image, raw: bytes, *more: bytes) -> bytes:
+    """A file of these filtered rows, their bytes in two chunks."""
+    height, width = pixels.shape
+    header = struct.pack(">IIBBBBB", width, height, 8 * pixels.dtype.itemsize, 0, 0, 0, 0)
+    packed = zlib.compress(raw)
+    parts = (chunk(b"IDAT", packed[:3]), chunk(b"IDAT", packed[3:]))
+    return b"".join([image.PNG, chunk(b"IHDR", header), *more, *parts, chunk(b"IEND", b"")])
+
+
+@settings(max_examples=50)
+@given(IMAGES, st.data())
+def test_any_filter_gives_the_pixels_back(pixels: Image, data: st.DataObject) -> None:
+    one = st.integers(0, 4).map(lambda kind: [kind] * len(pixels))
+    each = st.lists(st.integers(0, 4), min_size=len(pixels), max_size=len(pixels))
+    file = png(pixels, filtered(pixels, data.draw(one | each)))
+    got = image.decode(file)
+    assert got.dtype == pixels.dtype
+    assert np.array_equal(got, pixels)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_without_isal_it_is_the_same(kind: type, monkeypatch: pytest.MonkeyPatch) -> None:
+    pixels = np.random.default_rng(1).integers(0, 256, (40, 50)).astype(kind)
+    file = cv2.imencode(".png", pixels)[1].tobytes()
+    assert np.array_equal(image.decode(file), pixels)
+    monkeypatch.setitem(sys.modules, "isal", None)
+    assert np.array_equal(image.decode(file), pixels)
+
+
+@pytest.mark.parametrize("lost", [1, 9, 30])
+def test_a_file_with_too_few_pixels_is_refused(lost: int) -> None:
+    pixels = np.arange(30, dtype=np.uint8).reshape(5, 6)
+    with pytest.raises(image.ImageWrong):
+        image.decode(png(pixels, filtered(pixels, [1] * 5)[:-lost]))
+
+
+def test_a_grey_image_with_a_transparent_value_is_not_passed_as_grey() -> None:
+    pixels = np.arange(30, dtype=np.uint8).reshape(5, 6)
+    file = png(pixels, filtered(pixels, [1] * 5), chunk(b"tRNS", b"\0\7"))
+    before = cv2.imdecode(np.frombuffer(file, np.uint8), cv2.IMREAD_UNCHANGED)
+    if before.ndim == 2:
+        assert np.array_equal(image.decode(file), before)
+    else:
+        with pytest.raises(image.ImageWrong, match="colour"):
+            image.decode(file)
