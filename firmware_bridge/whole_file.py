@@ -27,8 +27,13 @@ def write(path: Path, content: str | bytes) -> None:
         beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)
-    folder = os.open(path.parent, os.O_RDONLY)
+    settle(path.parent)
+
+
+def settle(folder: Path) -> None:
+    """Return when the names in a folder are on the disk as they are now. Raises OSError."""
+    opened = os.open(folder, os.O_RDONLY)
     try:
-        os.fsync(folder)  # the new name too is on the disk when this returns
+        os.fsync(opened)
     finally:
-        os.close(folder)
+        os.close(opened)

@@ -55,8 +55,8 @@ def _always() -> bool:
 class Turn:
     """What a cycle came to: the result, the frame's name and id (empty and None without a frame), and the reasons.
 
-    Where a panel has several frames the snapshot is no result yet: ``frame`` and ``result`` are its part of one (None:
-    there was none that could be inspected, or it was not of a panel).
+    ``frame`` and ``result`` are the cycle's part of a panel (None: there was none that could be inspected, or it was
+    not of a panel); where a panel has several frames the snapshot is no result yet.
     """
 
     snapshot: Snapshot
@@ -65,6 +65,8 @@ class Turn:
     why: tuple[str, ...] = ()
     frame: Frame | None = None
     result: FrameResult | None = None
+    wanted: Wanted | None = None
+    """What the frame was to be taken at."""
 
 
 class Cycle:
@@ -224,8 +226,9 @@ class Cycle:
             self._settled_s = self._clock() + self._settings.lamp.settle_s
 
     def _inspected(self, last: Snapshot, started_s: float, glance: Glance, wanted: Callable[[], bool]) -> Turn:
+        asked = self.wanted
         try:
-            frame = capture(self._lamp, self._camera, self.wanted, self._grabbing)
+            frame = capture(self._lamp, self._camera, asked, self._grabbing)
         except NoTrigger:
             raise
         except BridgeError:
@@ -254,7 +257,7 @@ class Cycle:
             shown = snapshots.inspected(
                 last, frame, result, snapshots.Times(now_s, result.elapsed_us, (now_s - started_s) * 1e6)
             )
-        return Turn(shown, name, frame.frame_id, result.reasons_text, frame, result)
+        return Turn(shown, name, frame.frame_id, result.reasons_text, frame, result, asked)
 
     @contextmanager
     def _grabbing(self) -> Iterator[None]:

@@ -22,8 +22,9 @@ from inspector.cycle import Cycle
 from inspector.faults import Fault
 from inspector.front import Front, described, log_problems
 from inspector.handshake_table import Command
+from inspector.ledger import Ledger
 from inspector.lifecycle import Event, after
-from inspector.model import Frame, Snapshot
+from inspector.model import Frame, PanelResult, Snapshot
 from inspector.panel_work import PanelWork
 from inspector.plc_commands import carried_out
 from inspector.publish import console
@@ -79,6 +80,7 @@ class Daemon:
             Command.RESET_STATISTICS: self._reset_statistics,
         }
         self._tell = tell
+        self._ledger = Ledger()
         self._panels: PanelWork | None = None
         self._spoken_s = -math.inf
 
@@ -110,6 +112,8 @@ class Daemon:
         inspect = self._make_inspection(settings)
         self._cycle = Cycle(settings, devices, inspect, waiting=self._waiting, grab_timed=self._observed.grab.add)
         self._history = line_history.LineHistory(settings)
+        at_end.callback(self._ledger.close)
+        self._ledger.take_over(settings)
         at_end.callback(self._history.close)
         at_end.callback(self._cycle.close)
         at_end.callback(self._say_farewell)
@@ -162,6 +166,7 @@ class Daemon:
             self._control.ready(self._awaits_plc)
             self._signals.wait(min(due_s - time.monotonic(), BEAT_S, look_s))
             self._beat()
+            self._show_changed(self._ledger.shown(self._snapshot))
         return False
 
     @property
@@ -227,6 +232,7 @@ class Daemon:
         self._spoken_s = time.monotonic()
         inspection_us = None if turn.result is None else turn.result.elapsed_us
         self._observed.turned(self._spoken_s - started_s, inspection_us, self._cycle.levels)
+        self._ledger.took(turn)
         shown = turn.snapshot
         if one_by_one:
             shown = replace(shown, state=after(shown.state, Event.FINISHED, Event.STOPPED))
@@ -276,12 +282,13 @@ class Daemon:
         for panel in panels.results():
             self._cycle.panel_done()
             shown = snapshots.of_panel(self._counted(self._snapshot), panel, time.monotonic())
-            self._publish(shown, console.frames_of(shown), panel.reasons_text)
+            self._publish(shown, console.frames_of(shown), panel.reasons_text, panel)
         self._show_changed(replace(self._snapshot, frames_so_far=panels.frames_so_far))
 
-    def _publish(self, result: Snapshot, name: str, why: tuple[str, ...]) -> None:
-        """A result for everybody."""
-        self._show(self._history.after(result))
+    def _publish(self, result: Snapshot, name: str, why: tuple[str, ...], panel: PanelResult | None = None) -> None:
+        """A result for everybody, on the disk before anybody sees it."""
+        self._ledger.burnt(self._cycle.levels.burnt_hours)
+        self._show(self._ledger.kept(self._history.after(result), why, panel))
         self._tell(self._settings.log, self._snapshot, name, why)
 
     def _obey(self) -> None:
@@ -292,15 +299,20 @@ class Daemon:
             self._publish_panels(self._panels)
         if self._control.take_clear():
             self._cycle.try_again()
+            self._ledger.clear()
+            self._ledger.acted("PLC", "CLEAR_FAULT")
             self._show_changed(snapshots.cleared(self._snapshot))
             self._spoken_s = -math.inf
         if self._control.online is not self._online:
             self._online = self._control.online
+            self._ledger.acted("PLC", "online" if self._online else "offline")
             self._trigger = self._triggered(self._trigger.missed, self._trigger.late)
             self._show_changed(replace(self._snapshot, state=after(self._snapshot.state, Event.STOPPED)))
         command = self._control.take_command()
         if command is not None:
-            self._control.command_ended(carried_out(command, self._handlers))
+            outcome = carried_out(command, self._handlers)
+            self._ledger.acted(command.asker, f"command {command.command}", f"{command.argument}: {outcome.name}")
+            self._control.command_ended(outcome)
 
     def _change_recipe(self, recipe_id: int) -> None:
         """Inspect by another recipe, once it has proved whole. Raises SettingsError, and then the old one stays."""
@@ -327,6 +339,7 @@ class Daemon:
             self._show(snapshot)
 
     def _show(self, snapshot: Snapshot) -> None:
+        snapshot = self._ledger.shown(snapshot)
         self._front.show(snapshot)
         self._snapshot = snapshot
 
@@ -338,6 +351,7 @@ class Daemon:
             self._take_over(recipe_choice.resumed(found), renews_certificates=True)
             self._settings_recipe_id = found.recipe.id
             log.info("settings taken over from %s, hash %08x", self._file, self._snapshot.configuration_hash)
+            self._ledger.acted("settings", "taken over", f"{self._snapshot.configuration_hash:08x}")
         except SettingsError as error:
             log_problems(error)
             self._refuse()
@@ -350,6 +364,7 @@ class Daemon:
     def _refuse(self) -> None:
         fault = Fault.SETTINGS_REFUSED
         log.error("fault %d: %s. %s", fault, fault.meaning, fault.remedy, extra={"fault_code": fault})
+        self._ledger.acted("settings", "refused")
         self._snapshot = replace(self._snapshot, settings_refused=True)
 
     def _take_over(self, new: Settings, *, renews_certificates: bool = False) -> None:
@@ -363,6 +378,7 @@ class Daemon:
             self._publish_panels(self._panels)
         self._cycle.take_over(new, devices, inspect)
         self._history.take_over(new, one_frame)
+        self._ledger.take_over(new)
         self._panels = panels.after(self._panels, new.camera == old.camera) if panels else None
         self._settings = new
         self._outlets.take_over(new, self._snapshot)

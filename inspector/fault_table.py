@@ -185,6 +185,18 @@ ROWS = (
         "settings refused: …, a line for each problem",
         "when a reload takes settings over",
     ),
+    FaultRow(
+        "the disk is full, read-only, gone or too slow for the results",
+        Fault.STORE_DEGRADED,
+        "results' store fails: …. Check the disk: space, health, mount",
+        "results wait in memory, in order; the oldest images are deleted for them; tried again with back-off",
+    ),
+    FaultRow(
+        "the results' store is damaged, or was taken away",
+        Fault.STORE_DAMAGED,
+        "fault 602: … (…); it is kept as …. Save the file; check the disk",
+        "a new store is begun at once; the bit goes with CLEAR_FAULT",
+    ),
 )
 
 
@@ -221,9 +233,13 @@ def _names(reasons: Reason) -> str:
     return ", ".join(reason.name for reason in reasons if reason.name)
 
 
+INSPECTION_GOES_ON = frozenset({Fault.SETTINGS_REFUSED, Fault.STORE_DEGRADED, Fault.STORE_DAMAGED})
+"""Faults that take no verdict back: what was inspected was inspected rightly."""
 _PLC_SEES = {
     Fault.CYCLE_STALLED: "NOT_INSPECTED, fault_code 501, state ERROR; the heartbeat goes on",
     Fault.SETTINGS_REFUSED: "inspection goes on as before; status bit SETTINGS_REFUSED",
+    Fault.STORE_DEGRADED: "inspection goes on; status bit STORE_DEGRADED while a result shown may not be on the disk",
+    Fault.STORE_DAMAGED: "inspection goes on; status bit STORE_DAMAGED",
 }
 """Where it is not the result of a cycle."""
 

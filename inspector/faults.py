@@ -47,3 +47,6 @@ class Fault(enum.IntEnum):
     CYCLE_STALLED = 501, "The inspection cycle has stopped", "The watchdog restarts the service; send us its log"
     INTERNAL = 502, "An error in the program", "Send us the log"
     SETTINGS_REFUSED = 503, "New settings were refused; the old ones stay", "Run: inspector config check FILE"
+
+    STORE_DEGRADED = 601, "The results' store cannot be written, or not in time", "Check the disk: space, health, mount"
+    STORE_DAMAGED = 602, "The results' store was damaged and has been set aside", "Save the file; check the disk"

@@ -6,6 +6,7 @@ Whatever this module imports, the PLC waits for; a rule of the house says what t
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
 from dataclasses import replace
 
 from inspector import recipe_choice
@@ -32,6 +33,7 @@ class Front:
     def __init__(self, settings: Settings, signals: Signals, notifier: Notifier | None = None) -> None:
         self.settings, self.settings_recipe_id = recipe_choice.resumed(settings), settings.recipe.id
         self.notifier = notifier or Notifier()
+        _make_folder(settings)
         self.sequence = SequenceFile(settings.plc.sequence_file)
         self.snapshot = Snapshot(sequence=self.sequence.first, panel_id=self.sequence.first)
         self.control = PlcControl(self.snapshot, signals.wake)
@@ -57,6 +59,13 @@ class Front:
         self.snapshot = snapshot
         fault = f", fault {snapshot.fault_code}" if snapshot.fault_code else ""
         self.notifier.status(f"{snapshot.state.name}{fault}; registers on port {self.port}")
+
+
+def _make_folder(settings: Settings) -> None:
+    """Make the archive's folder, where small files are kept too; a disk that refuses is told when it is used."""
+    if settings.archive is not None:
+        with suppress(OSError):
+            settings.archive.folder.mkdir(parents=True, exist_ok=True)
 
 
 def described(snapshot: Snapshot, settings: Settings, settings_hash: int, *events: Event) -> Snapshot:

@@ -261,6 +261,8 @@ class PanelResult:
     """What was seen of the panel."""
     elapsed_us: float = 0.0
     """Time the inspections of its frames took."""
+    gathered: PanelFrames | None = field(default=None, compare=False, repr=False)
+    """The frames it was judged by; None where nobody has said."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,6 +309,12 @@ class Snapshot:
     """The same of the operator's block, which knows commands alone."""
     simulated: bool = False
     settings_refused: bool = False
+    store_degraded: bool = False
+    """A result that is shown may not be on the disk."""
+    store_damaged: bool = False
+    """The results' store was damaged and has been set aside; until somebody has seen it."""
+    store_waiting: int = 0
+    """Entries that wait for the store, while it is degraded."""
     statistics: Statistics | None = None
     """Of the paint line, after the newest result, also while older ones are shown; None while there are none."""
     statistics_sequence: int = 0

@@ -12,12 +12,13 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 from inspector.control import PlcControl
+from inspector.cycle_settings import Timed
 from inspector.metrics.observed import Observed
 from inspector.model import Snapshot
 from inspector.publish import console
 from inspector.publish.plc_server import PRODUCT, PlcServer, PlcServerError, as_stalled
 from inspector.publish.systemd import Notifier
-from inspector.settings import Settings, Timed
+from inspector.settings import Settings
 
 if TYPE_CHECKING:
     from inspector.metrics.server import MetricsServer

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from inspector.acquire.trigger import Asked, Calls, Clock, Input, Line, Trigger
-from inspector.settings import ByHand, ByPlc, CycleSettings, DigitalInput, HardwareLine, Timed
+from inspector.cycle_settings import ByHand, ByPlc, CycleSettings, DigitalInput, HardwareLine, Timed
 
 
 @dataclass(frozen=True, slots=True)

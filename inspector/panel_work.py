@@ -6,6 +6,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 
 from firmware_bridge.errors import BridgeError
 from inspector.acquire.outage import Outage
@@ -138,7 +139,7 @@ class PanelWork:
     def _judged(self, gathered: PanelFrames) -> PanelResult:
         """The panel's result; an error in the program is one too, and no PASS."""
         try:
-            result = self._judge(gathered)
+            result = replace(self._judge(gathered), gathered=gathered)
         except Exception as error:
             what = f"{type(error).__name__}: {error}"
             self._program.begins(what, traceback=True)
@@ -146,7 +147,10 @@ class PanelWork:
                 Reason.PANEL_INCOMPLETE | Reason.DEVICE_FAULT,
                 tuple(f.travel_mm for f in gathered.frames),
             )
-            return PanelResult(Verdict.NOT_INSPECTED, reasons, (what,), panel_id=gathered.panel_id, travels_mm=travels)
+            result = PanelResult(
+                Verdict.NOT_INSPECTED, reasons, (what,), panel_id=gathered.panel_id, travels_mm=travels
+            )
+            return replace(result, gathered=gathered)
         self._program.ends()
         return result
 

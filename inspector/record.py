@@ -45,7 +45,7 @@ def run(config: Path, output: Path, *, frames: int, settle_s: float, build: Buil
                 lamp_v,
                 Inspected(version.name, Kept.CAMPAIGN, result).as_dict(),
             )
-            writer.keep(frame.image, recorded)
+            writer.keep([(frame.image, recorded)])
         shown = f"show them with camera: {{kind: replay, paths: [{output}]}}"
         typer.echo(f"{frames} frames in {output}; {shown}, inspect them again with: inspector replay {output}")
         return bench.EXIT_DONE

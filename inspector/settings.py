@@ -12,17 +12,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
-from pydantic import ConfigDict, Field, PositiveFloat
+from pydantic import ConfigDict, Field
 
 from firmware_bridge import settings as bridge
 from firmware_bridge.camera_settings import CameraSettings
 from firmware_bridge.strict import Strict
 from inspector import lamp_curve_file, panel_proof, recipe_folder, recipe_proof, yaml_document
 from inspector.acquire.light import LightSettings
+from inspector.archive.archive_settings import ArchiveSettings
 from inspector.calibration_file import CalibrationError
 from inspector.calibration_file import read as read_calibration
+from inspector.cycle_settings import CycleSettings, DigitalInput, HardwareLine
 from inspector.judge.spc.settings import StatisticsSettings
 from inspector.metrics.settings import MetricsSettings
 from inspector.page_settings import PageSettings
@@ -39,75 +41,6 @@ class SettingsError(ValueError):
     def __init__(self, problems: tuple[Problem, ...]) -> None:
         super().__init__("\n".join(map(str, problems)))
         self.problems = problems
-
-
-class FreeRunning(Strict):
-    """A cycle begins when the one before it is done: the camera sets the pace."""
-
-    kind: Literal["free_running"] = "free_running"
-    """The camera sets the pace."""
-
-
-class Timed(Strict):
-    """A cycle begins at each tick of a clock."""
-
-    kind: Literal["timed"]
-    """A clock sets the pace."""
-    rate_hz: float = Field(gt=0, le=1000)
-    """Cycles a second."""
-
-
-class DigitalInput(Strict):
-    """A cycle begins when an input of the I/O module comes on, as from a light barrier at the station."""
-
-    kind: Literal["digital_input"]
-    """An input of the I/O module sets the pace."""
-    channel: int = Field(0, ge=0)
-    """Which input, counted from 0."""
-    active: Literal["on", "off"] = "on"
-    """What begins a cycle: the input coming on, or going off."""
-    debounce_s: float = Field(0.02, ge=0, le=10)
-    """The input must have stood so for this time, seconds."""
-    poll_s: float = Field(0.01, gt=0, le=1)
-    """It is read this often, seconds, as far as the module's line lets."""
-
-
-class HardwareLine(Strict):
-    """A cycle begins when the camera's own input line begins an exposure; the camera's settings name the line."""
-
-    kind: Literal["hardware_line"]
-    """A signal into the camera sets the pace."""
-
-
-class ByHand(Strict):
-    """A cycle begins at each SIGUSR1, as from `systemctl kill --signal=USR1 inspector`."""
-
-    kind: Literal["by_hand"]
-    """A person or a script sets the pace."""
-
-
-class ByPlc(Strict):
-    """A cycle begins when the PLC raises TRIGGER in the control block, and the station answers each."""
-
-    kind: Literal["plc"]
-    """The PLC sets the pace."""
-
-
-class CycleSettings(Strict):
-    """When a frame is taken, how near it must be to what was asked, and how failed devices are tried again."""
-
-    trigger: Annotated[
-        FreeRunning | Timed | DigitalInput | HardwareLine | ByHand | ByPlc, Field(discriminator="kind")
-    ] = FreeRunning.default()
-    """What begins a cycle; what comes while a cycle runs is counted as missed, and not made up for."""
-    late_after_s: PositiveFloat = 0.05
-    """A cycle that begins so long after its trigger is counted as late, seconds; it is inspected all the same."""
-    exposure_tolerance: float = Field(0.01, ge=0, lt=1)
-    """How far the exposure read back may be from the one asked for, as a share of it."""
-    retry_first_s: float = Field(0.1, gt=0, le=60)
-    """A failed device is tried again after this time, seconds; each further failure doubles it."""
-    retry_longest_s: float = Field(2.0, gt=0, le=600)
-    """The longest time between two tries, seconds."""
 
 
 def _or_file(schema: dict[str, Any]) -> None:
@@ -145,7 +78,8 @@ class Settings(Strict):
     """Recipes that PLC and people choose from, each with an id and a name of its own: a folder of files, or in
     place."""
     recipe_choice_file: Annotated[Path, Field(strict=False)] | None = None
-    """File in which the PLC's last choice of a recipe is kept over restarts; null: `recipe` holds after each."""
+    """File in which the PLC's last choice of a recipe is kept over restarts; null: in the archive's
+    folder, or without an archive `recipe` holds after each."""
     cycle: CycleSettings = CycleSettings.default()
     """The inspection cycle."""
     panel: PanelSettings = PanelSettings.default()
@@ -161,10 +95,30 @@ class Settings(Strict):
     page: PageSettings = PageSettings()
     """The operator's page."""
     statistics_file: Annotated[Path, Field(strict=False)] | None = None
-    """File in which the statistics are kept over restarts; null: they begin anew with each."""
+    """File in which the statistics are kept over restarts; null: in the archive's folder, or without an archive
+    they begin anew with each."""
+    archive: ArchiveSettings | None = None
+    """Where results and frames are kept; null: nowhere."""
 
     def under(self, folder: Path) -> Settings:
-        """The same settings with relative paths taken from ``folder``."""
+        """The same settings with relative paths taken from ``folder``; files that keep something over restarts and are
+        not named are in the archive's folder, if there is one."""
+        return self._with_files()._under(folder)
+
+    def _with_files(self) -> Settings:
+        if self.archive is None:
+            return self
+        kept = self.archive.folder
+        sequence_file = self.plc.sequence_file or kept / "sequence.json"
+        return self.model_copy(
+            update={
+                "plc": self.plc.model_copy(update={"sequence_file": sequence_file}),
+                "recipe_choice_file": self.recipe_choice_file or kept / "recipe.json",
+                "statistics_file": self.statistics_file or kept / "statistics.json",
+            }
+        )
+
+    def _under(self, folder: Path) -> Settings:
         return self.model_copy(
             update={
                 "calibration": folder / self.calibration,
@@ -174,6 +128,7 @@ class Settings(Strict):
                 "page": self.page.under(folder),
                 "recipe_choice_file": self.recipe_choice_file and folder / self.recipe_choice_file,
                 "statistics_file": self.statistics_file and folder / self.statistics_file,
+                "archive": self.archive and self.archive.under(folder),
             },
         )
 
@@ -251,6 +206,7 @@ def configuration_hash(settings: Settings) -> int:
             "plc": {"sequence_file"},
             "recipe_choice_file": True,
             "statistics_file": True,
+            "archive": True,
         }
     )
     text = json.dumps(values, sort_keys=True, default=lambda path: os.path.relpath(path, folder)).encode()

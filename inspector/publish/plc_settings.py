@@ -122,7 +122,8 @@ class PlcSettings(Strict):
     buffer_results: bool = False
     """Keep each result until the PLC acknowledges it, also while its bit BUFFER_RESULTS is off."""
     sequence_file: FilePath | None = None
-    """File in which the last result's number is kept, so that `sequence` goes on after a restart; null: from 0."""
+    """File in which the last result's number is kept, so that `sequence` goes on after a restart; null: in the
+    archive's folder, or without an archive from 0."""
     post: PostSettings | None = None
     """A PLC that results are written into, beside being served; null: none."""
     serial: SerialSettings | None = None

@@ -58,6 +58,8 @@ class Status(enum.IntFlag):
     LIST_TRUNCATED = 1 << 8
     SETTINGS_REFUSED = 1 << 9
     LAMP_WEAK = 1 << 10
+    STORE_DEGRADED = 1 << 11
+    STORE_DAMAGED = 1 << 12
 
 
 STATUS_MEANINGS = {
@@ -72,6 +74,8 @@ STATUS_MEANINGS = {
     Status.LIST_TRUNCATED: "More defects than the defect list shows",
     Status.SETTINGS_REFUSED: "New settings were refused (503); inspection goes on with the old ones",
     Status.LAMP_WEAK: "The lamp is near the end of what its level may be raised by (203): change the bulb soon",
+    Status.STORE_DEGRADED: "A result that is shown may not be on the disk (601); inspection goes on",
+    Status.STORE_DAMAGED: "The results' store was damaged, and a new one begun (602); until CLEAR_FAULT",
 }
 
 
@@ -115,6 +119,8 @@ def _status(p: Publication) -> Number:
         Status.LIST_TRUNCATED: len(p.defects) > LIST_DEFECTS,
         Status.SETTINGS_REFUSED: s.settings_refused,
         Status.LAMP_WEAK: s.lamp_weak,
+        Status.STORE_DEGRADED: s.store_degraded,
+        Status.STORE_DAMAGED: s.store_damaged,
     }
     return sum(bit for bit, is_set in bits.items() if is_set)
 
@@ -161,6 +167,7 @@ RESULT_FIELDS = (
     _F(53, "panel_frames_so_far", "u16", "count", "Frames of the one under way", lambda p: p.snapshot.frames_so_far),
     _F(54, "panel_area_cm2", "u32", "cm2", "Of the result's panel seen, where it has several frames; else unknown",
        _area_cm2),
+    _F(56, "store_waiting", "u16", "count", "Entries not yet on the disk", lambda p: p.snapshot.store_waiting),
     _F(124, "sequence_end", "u16", "id", "Equals sequence; compare if read in pieces", lambda p: p.snapshot.sequence),
 )  # fmt: skip
 

@@ -331,6 +331,7 @@ def test_the_demo_is_a_service_that_inspects(station: Any, service: Callable[...
     settings["plc"]["port"] = 0
     settings["calibration"] = str(demo.parent / settings["calibration"])
     settings["camera"]["paths"] = [str(demo.parent / path) for path in settings["camera"]["paths"]]
+    settings["archive"]["folder"] = "archive"
     station.settings = settings
     station.write()
     running = service("--panels", "9")

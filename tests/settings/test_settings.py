@@ -12,7 +12,8 @@ import yaml
 from typer.testing import CliRunner
 
 from inspector.cli import app
-from inspector.settings import SettingsError, Timed, check, configuration_hash, load
+from inspector.cycle_settings import Timed
+from inspector.settings import SettingsError, check, configuration_hash, load
 from inspector.settings_commands import schema
 
 CONFIG = Path(__file__).parents[2] / "config"

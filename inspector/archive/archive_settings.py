@@ -1,0 +1,43 @@
+"""What a station must say of what it keeps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, PositiveFloat, PositiveInt
+
+from firmware_bridge.strict import Strict
+
+
+class KeptFrames(Strict):
+    """Which frames are kept, lossless, and for how long. When room is wanted, the oldest go first."""
+
+    failing: bool = True
+    """Keep every frame of a result that is no PASS."""
+    passing_every: PositiveInt | None = 100
+    """Keep the frames of one PASS of so many; null: of none."""
+    last: int = Field(100, ge=0, le=10_000)
+    """Keep the last frames, so many, whatever they say; 0: none."""
+    days: PositiveFloat = Field(30.0, le=10_000)
+    """Keep them for so many days."""
+    most_mb: PositiveFloat = 10_000.0
+    """Keep at most so many megabytes of them."""
+    min_free_mb: float = Field(500.0, ge=0)
+    """Leave so many megabytes of the disk free: results need them."""
+
+
+class ArchiveSettings(Strict):
+    """What was inspected is kept: results in a store, which is never thinned out, and frames beside it."""
+
+    folder: Annotated[Path, Field(strict=False)]
+    """Folder of the archive; made if it is not there."""
+    commit_wait_s: float = Field(0.2, ge=0, le=10)
+    """A result is shown to the PLC when it is on the disk, but waits no longer than this, seconds; STORE_DEGRADED then
+    says that it may be lost."""
+    frames: KeptFrames = KeptFrames()
+    """Which frames are kept."""
+
+    def under(self, folder: Path) -> ArchiveSettings:
+        """The same settings with a relative folder taken from ``folder``."""
+        return self.model_copy(update={"folder": folder / self.folder})

@@ -1,0 +1,73 @@
+"""Recorded sessions in a folder, the oldest first by their names: what they take, and taking them away."""
+
+from __future__ import annotations
+
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+from firmware_bridge.wire import session
+from inspector.archive.retention import Held
+from inspector.archive.session_writer import PART
+
+GOING = ".going-"
+"""Begin of the name of a session that is being deleted: half of one is never taken for a session."""
+
+
+class Shelf:
+    """The sessions of one folder. A session that is written no more is measured once."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._known: dict[str, Held] = {}
+
+    def sessions(self) -> list[str]:
+        """Names of the sessions, the oldest first. Raises OSError."""
+        try:
+            return sorted(p.name for p in self.folder.iterdir() if not p.name.startswith("."))
+        except FileNotFoundError:
+            return []
+
+    def held(self, at_work: str | None) -> list[Held]:
+        """The sessions but the one that is being written, the oldest first. Raises OSError."""
+        names = [name for name in self.sessions() if name != at_work]
+        self._known = {name: self._known.get(name) or _measured(self.folder / name) for name in names}
+        return list(self._known.values())
+
+    def delete(self, name: str) -> None:
+        """Take a session away. Raises OSError."""
+        going = self.folder / f"{GOING}{name}"
+        (self.folder / name).rename(going)
+        self._known.pop(name, None)
+        shutil.rmtree(going)
+
+    def clean(self) -> None:
+        """Take away what a crash left half done; nothing that a session's index names. Raises OSError."""
+        if not self.folder.is_dir():
+            return
+        for path in self.folder.iterdir():
+            if path.name.startswith(GOING):
+                shutil.rmtree(path)
+        for name in self.sessions()[-1:]:  # only the one that was being written
+            _clean_session(self.folder / name)
+
+
+def _measured(folder: Path) -> Held:
+    files = [file.stat() for file in folder.iterdir()]
+    newest_s = max((stat.st_mtime for stat in files), default=0.0)
+    frames = sum(1 for file in folder.glob("*.png"))
+    return Held(folder.name, sum(stat.st_blocks * 512 for stat in files), newest_s, frames)
+
+
+def _clean_session(folder: Path) -> None:
+    """Images without a line in the index are not known to be whole; a session without an index is none."""
+    index = folder / session.INDEX
+    if not index.is_file():
+        shutil.rmtree(folder)
+        return
+    named = set[str]()
+    with suppress(session.SessionWrong, UnicodeDecodeError):
+        named = {recorded.file for recorded in session.parse(index.read_text(encoding="utf-8"))}
+        for file in folder.iterdir():
+            if file.name.endswith(PART) or (file.suffix == ".png" and file.name not in named):
+                file.unlink()

@@ -1,0 +1,249 @@
+"""The results' store: one SQLite file, opened whole or set aside, written entry by entry. Used by one thread.
+
+What it promises: an entry is on the disk, by fsync, when :meth:`Store.write` returns; it is there whole or not at all;
+the file that another process reads meanwhile, or finds after a power cut, is a store.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import sqlite3
+import time
+from collections.abc import Iterable, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from firmware_bridge import whole_file
+from inspector.archive.entries import Entry, Rows
+from inspector.archive.schema import OLDEST_WRITER, RUN_BITS, STEPS
+
+FILE, LOCK = "results.sqlite", "archive.lock"
+"""Names in the archive's folder."""
+BUSY_S = 2.0
+"""Whoever else writes into the file is waited for so long."""
+CHECKPOINT_BYTES = 4_000_000
+"""The log beside the file is worked into it when it is larger."""
+_BESIDE = ("", "-wal", "-shm")
+_ONCE = frozenset({"settings_version", "recipe_version"})
+"""Tables whose rows stay as they were written first."""
+
+
+class StoreUnavailable(Exception):
+    """The store cannot be written now; the message says why. Trying again may help."""
+
+
+class StoreInUse(StoreUnavailable):
+    """Another process has the archive."""
+
+
+class StoreDamaged(Exception):
+    """The file is no store, or a damaged one: to be set aside."""
+
+
+class EntryRefused(Exception):
+    """One of the entries cannot be kept by any store: an error in the program."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """The service from its start to its end, as the store knows it: Unix time, program's version, station's name."""
+
+    started_s: float
+    program: str
+    station: str
+
+
+class Store:
+    """The store of a folder, open. ``id`` is the run's number. Raises StoreUnavailable, StoreDamaged."""
+
+    def __init__(self, folder: Path, run: Run, steps: Sequence[str] = STEPS) -> None:
+        self._path = folder / FILE
+        self._lock = _locked(folder)
+        try:
+            self._connection = _opened(self._path, steps)
+            self._file = _identity(self._path)
+            self.id = self._begin(run)
+        except BaseException as error:
+            self.close()
+            if isinstance(error, sqlite3.Error | OSError):
+                raise _meant(error) from error
+            raise
+
+    def write(self, entries: Iterable[Entry]) -> None:
+        """Write these entries, all or none, to the disk. Raises StoreUnavailable, StoreDamaged, EntryRefused; then none
+        is written.
+
+        An entry that is written again replaces itself.
+        """
+        try:
+            if _identity(self._path) != self._file:
+                raise StoreDamaged(f"{self._path} was taken away or replaced")
+            with self._connection as transaction:
+                transaction.execute("BEGIN IMMEDIATE")
+                for entry in entries:
+                    for rows in entry:
+                        self._insert(rows)
+        except FileNotFoundError as error:
+            raise StoreDamaged(f"{self._path} was taken away") from error
+        except (*_REFUSALS, OverflowError) as error:
+            raise EntryRefused(f"{type(error).__name__}: {error}") from error
+        except (sqlite3.Error, OSError) as error:
+            raise _meant(error) from error
+
+    def tidy(self) -> None:
+        """Work the log into the file when it has grown; to be called when nobody waits. Raises as :meth:`write`."""
+        try:
+            if os.stat(f"{self._path}-wal").st_size > CHECKPOINT_BYTES:
+                self._connection.execute("PRAGMA wal_checkpoint(PASSIVE)")
+        except FileNotFoundError:
+            return
+        except (sqlite3.Error, OSError) as error:
+            raise _meant(error) from error
+
+    def close(self, ended_s: float | None = None) -> None:
+        """Close the file; with ``ended_s`` the run's end is kept. Never raises."""
+        connection = getattr(self, "_connection", None)
+        if connection is not None:
+            with suppress(sqlite3.Error):
+                if ended_s is not None:
+                    with connection:
+                        connection.execute("UPDATE run SET ended_s = ? WHERE id = ?", (ended_s, self.id))
+            with suppress(sqlite3.Error):
+                connection.close()
+        os.close(self._lock)
+
+    def _begin(self, run: Run) -> int:
+        """The run's row; the same run that opens the store again finds its own."""
+        with self._connection as transaction:
+            transaction.execute("BEGIN IMMEDIATE")
+            known = transaction.execute("SELECT id FROM run WHERE started_s = ? AND ended_s IS NULL", (run.started_s,))
+            found = known.fetchone()
+            if found is None:
+                columns = "INSERT INTO run (started_s, program, station) VALUES (?, ?, ?) RETURNING id"
+                found = transaction.execute(columns, (run.started_s, run.program, run.station)).fetchone()
+        return int(found[0])
+
+    def _insert(self, rows: Rows) -> None:
+        verb = "IGNORE" if rows.table in _ONCE else "REPLACE"
+        columns, values = rows.columns, rows.values
+        if rows.of_run:
+            columns, values = (*columns, "run"), tuple((*row, self.id) for row in values)
+        if rows.of_result:
+            values = tuple((self.id << RUN_BITS | row[0], *row[1:]) for row in values)
+        marks = ", ".join("?" * len(columns))
+        sql = f"INSERT OR {verb} INTO {rows.table} ({', '.join(columns)}) VALUES ({marks})"
+        self._connection.executemany(sql, values)
+
+
+def _identity(path: Path) -> tuple[int, int]:
+    """Which file a path names."""
+    found = path.stat()
+    return found.st_dev, found.st_ino
+
+
+def set_aside(folder: Path, now_s: float) -> Path | None:
+    """Give the store's files other names, so that a new one can begin; the new name, None if there is no store.
+
+    Raises StoreUnavailable. Nothing is deleted: somebody may want to save what can be.
+    """
+    stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(now_s))
+    path = folder / FILE
+    name = path.with_name(f"results.set-aside-{stamp}.sqlite")
+    number = 1
+    while name.exists():
+        number += 1
+        name = path.with_name(f"results.set-aside-{stamp}-{number}.sqlite")
+    moved = None
+    try:
+        for suffix in _BESIDE:
+            with suppress(FileNotFoundError):
+                os.replace(f"{path}{suffix}", f"{name}{suffix}")
+                moved = name
+        whole_file.settle(folder)
+    except OSError as error:
+        raise StoreUnavailable(f"{path} is damaged and cannot be set aside ({error.strerror})") from error
+    return moved
+
+
+def _locked(folder: Path) -> int:
+    """The archive's lock, held until it is closed: it goes with the process, however that ends."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        raise StoreUnavailable(f"{folder}: {error.strerror}") from error
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        os.close(lock)
+        raise StoreInUse(f"{folder} is another running station's: give each station a folder of its own") from error
+    except OSError as error:
+        os.close(lock)
+        raise StoreUnavailable(f"{folder}: {error.strerror}") from error
+    return lock
+
+
+def _opened(path: Path, steps: Sequence[str]) -> sqlite3.Connection:
+    """The file, sound and with all steps taken. Raises sqlite3.Error, OSError, StoreDamaged."""
+    connection = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
+    try:
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("PRAGMA wal_autocheckpoint = 0")
+        complaint = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+        if complaint != "ok":
+            raise StoreDamaged(f"{path} fails its integrity check: {complaint}")
+        _bring_up_to_date(connection, path, steps)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def _bring_up_to_date(connection: sqlite3.Connection, path: Path, steps: Sequence[str]) -> None:
+    """Take the steps that the file has not had, each whole or not at all, after a backup of what is there."""
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    if version > len(steps):
+        _check_writable(connection, path, len(steps))
+        return
+    if 0 < version < len(steps):
+        _back_up(connection, path.with_name(f"results.version-{version}.sqlite"))
+    for number, step in enumerate(steps[version:], version + 1):
+        oldest = f"INSERT OR REPLACE INTO about VALUES ('oldest_writer', '{OLDEST_WRITER}')"
+        script = f"BEGIN IMMEDIATE; {step}; {oldest}; PRAGMA user_version = {number}; COMMIT;"
+        connection.executescript(script)
+    if version < len(steps):
+        whole_file.settle(path.parent)
+
+
+def _check_writable(connection: sqlite3.Connection, path: Path, version: int) -> None:
+    """A newer program's store goes on here if that program says so. Raises StoreDamaged: it is then set aside."""
+    said = connection.execute("SELECT value FROM about WHERE key = 'oldest_writer'").fetchone()
+    if said is None or int(said[0]) > version:
+        raise StoreDamaged(f"{path} is a newer program's, and cannot be gone on with by this one")
+
+
+def _back_up(connection: sqlite3.Connection, backup: Path) -> None:
+    """A copy of the store beside it, whole or not at all. Raises sqlite3.Error, OSError."""
+    part = backup.with_name(f".{backup.name}.part")
+    part.unlink(missing_ok=True)
+    with closing(sqlite3.connect(part)) as copy:
+        connection.backup(copy)
+    with part.open("rb") as file:
+        os.fsync(file.fileno())
+    part.replace(backup)
+    whole_file.settle(backup.parent)
+
+
+_REFUSALS = (sqlite3.ProgrammingError, sqlite3.IntegrityError, sqlite3.InterfaceError, sqlite3.DataError)
+_DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+
+
+def _meant(error: sqlite3.Error | OSError) -> StoreUnavailable | StoreDamaged:
+    """What an error of SQLite's or the system's means for the store."""
+    code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+    if code in _DAMAGE or (isinstance(error, sqlite3.DatabaseError) and "no such table" in str(error)):
+        return StoreDamaged(str(error))
+    return StoreUnavailable(str(error))

@@ -1,0 +1,199 @@
+"""Entries on their way into the store: in order, by a thread that nobody waits for longer than asked.
+
+While the store cannot be written, entries wait in memory; it is tried again with back-off, and room is made by whoever
+keeps the images. A damaged store is set aside and a new one begun: what waits goes into that.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+from inspector.archive.entries import Entry
+from inspector.archive.store import EntryRefused, Run, Store, StoreDamaged, StoreUnavailable, set_aside
+from inspector.faults import Fault
+
+RETRY_FIRST_S, RETRY_LONGEST_S = 0.1, 5.0
+"""A store that cannot be written is tried again after so long; each further failure doubles it."""
+MOST_WAITING = 20_000
+"""More entries than this, some 40 MB of them, are not kept in memory: the service must live. The log says so."""
+MOST_AT_ONCE = 1_000
+"""Entries written together: what waited in an outage goes in batches."""
+
+log = logging.getLogger(__name__)
+
+
+class Outages(Protocol):
+    """Says in the log when something begins to fail, and when it works again."""
+
+    def begins(self, complaint: object) -> None: ...
+    def ends(self) -> None: ...
+
+
+class StoreWriter:
+    """Writes into the store of ``folder``. ``make_room`` is called, in this thread, when the disk refuses."""
+
+    def __init__(self, folder: Path, run: Run, outage: Outages, make_room: Callable[[], None] = lambda: None) -> None:
+        self._folder, self._run, self._outage, self._make_room = folder, run, outage, make_room
+        self._changed = threading.Condition()
+        self._waiting: deque[Entry] = deque()
+        self._put = self._written = self._lost = 0
+        self._since_s: float | None = None
+        self._set_aside: Path | None = None
+        self._stopping = False
+        self._store: Store | None = None
+        self._thread = threading.Thread(target=self._work, name="store", daemon=True)
+        self._thread.start()
+
+    @property
+    def waiting(self) -> int:
+        """Entries that are not on the disk yet."""
+        return len(self._waiting)
+
+    @property
+    def lost(self) -> int:
+        """Entries that were not kept, since too many waited."""
+        return self._lost
+
+    @property
+    def set_aside(self) -> Path | None:
+        """Where a damaged store was put; None if it was sound."""
+        return self._set_aside
+
+    def lag_s(self) -> float:
+        """For how long the oldest entry has waited, seconds."""
+        since_s = self._since_s
+        return 0.0 if since_s is None else time.monotonic() - since_s
+
+    def put(self, entry: Entry) -> int:
+        """Have this written after all that came before; its number for :meth:`wait`. Never waits."""
+        with self._changed:
+            if len(self._waiting) >= MOST_WAITING:
+                self._lost += 1
+                if self._lost == 1:
+                    log.error("%d entries wait for the store: what comes now is not kept", MOST_WAITING)
+                return self._put + 1
+            self._waiting.append(entry)
+            self._put += 1
+            if self._since_s is None:
+                self._since_s = time.monotonic()
+            self._changed.notify_all()
+            return self._put
+
+    def has(self, number: int) -> bool:
+        """Whether the entry of this number, and with it all before, is on the disk."""
+        return self._written >= number
+
+    def wait(self, number: int, timeout_s: float) -> bool:
+        """Whether the entry of this number, and with it all before, is on the disk within the time."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self.has(number), timeout_s)
+
+    def close(self, timeout_s: float, ended_s: float) -> int:
+        """Write what waits, if that can be done in the time, and close; how many entries are lost."""
+        with self._changed:
+            self._stopping = True
+            self._changed.notify_all()
+        self._thread.join(timeout_s)
+        if self._store is not None and not self._thread.is_alive():
+            self._store.close(ended_s)
+        return self.waiting
+
+    def _work(self) -> None:
+        """The thread. Ends when it is asked to and nothing waits, or when what waits cannot be written."""
+        retry_s = RETRY_FIRST_S
+        while True:
+            try:
+                batch = self._next()
+                if batch is None:
+                    return
+                self._write(batch)
+                retry_s = RETRY_FIRST_S
+                self._outage.ends()
+                continue
+            except StoreDamaged as damage:
+                self._reopen_later()
+                failure = self._put_aside(damage)
+            except StoreUnavailable as error:
+                self._reopen_later()
+                failure = error
+            except Exception as error:  # an error in the program must not end the keeping of results
+                log.exception("fault %d: %s", Fault.INTERNAL, Fault.INTERNAL.meaning)
+                self._reopen_later()
+                failure = StoreUnavailable(f"{type(error).__name__}: {error}")
+            if failure is not None:
+                self._outage.begins(f"{failure}. {Fault.STORE_DEGRADED.remedy}")
+            if self._pause(retry_s):
+                return
+            retry_s = min(2 * retry_s, RETRY_LONGEST_S)
+
+    def _next(self) -> list[Entry] | None:
+        """The entries to be written next, with the store open; None when all is done. Raises as the store."""
+        self._opened()
+        with self._changed:
+            if not self._waiting and not self._stopping:
+                self._changed.wait()
+            if not self._waiting:
+                return None if self._stopping else []
+            return [self._waiting[i] for i in range(min(len(self._waiting), MOST_AT_ONCE))]
+
+    def _opened(self) -> Store:
+        """The store. Raises StoreUnavailable, StoreDamaged."""
+        if self._store is None:
+            self._store = Store(self._folder, self._run)
+        return self._store
+
+    def _write(self, batch: list[Entry]) -> None:
+        """Write, tell who waits, and tidy up when nobody does. Raises StoreUnavailable, StoreDamaged."""
+        store = self._opened()
+        try:
+            store.write(batch)
+        except EntryRefused:
+            self._write_one_by_one(store, batch)
+        with self._changed:
+            for _ in batch:
+                self._waiting.popleft()
+            self._written += len(batch)
+            self._since_s = time.monotonic() if self._waiting else None
+            self._changed.notify_all()
+            idle = not self._waiting
+        if idle:
+            store.tidy()
+
+    def _write_one_by_one(self, store: Store, batch: list[Entry]) -> None:
+        """An entry that no store takes must not keep the others from it."""
+        for entry in batch:
+            try:
+                store.write([entry])
+            except EntryRefused as error:
+                self._lost += 1
+                log.error(
+                    "fault %d: %s: the store refuses %s (%s)", Fault.INTERNAL, Fault.INTERNAL.meaning, entry, error
+                )
+
+    def _put_aside(self, error: StoreDamaged) -> StoreUnavailable | None:
+        """Begin anew beside a damaged store; what is in the way of that, None if nothing."""
+        try:
+            moved = set_aside(self._folder, time.time())
+        except StoreUnavailable as refused:
+            return refused
+        fault = Fault.STORE_DAMAGED
+        log.error("fault %d: %s (%s); it is kept as %s. %s", fault, fault.meaning, error, moved, fault.remedy)
+        self._set_aside = moved or self._folder
+        return None
+
+    def _reopen_later(self) -> None:
+        if self._store is not None:
+            self._store.close()
+            self._store = None
+
+    def _pause(self, retry_s: float) -> bool:
+        """Make room, and wait before the next try; whether to give up instead, since the service ends."""
+        self._make_room()
+        with self._changed:
+            return self._changed.wait_for(lambda: self._stopping, retry_s)

@@ -1,0 +1,155 @@
+"""The archive of a running station: what the PLC has seen is in the store, whatever becomes of it or its disk."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+
+from firmware_bridge.simulators.module_server import ModuleServer
+from firmware_bridge.wire import session
+from inspector.archive import result_json
+from inspector.archive.session_frames import inspected, version_file
+from inspector.archive.store import FILE
+from inspector.handshake_table import Control
+from inspector.model import Frame
+from inspector.pipeline import Station, inspect
+from inspector.publish.registers import CONTROL_ADDRESS, Status
+from inspector.settings_version import from_json
+
+
+@pytest.fixture
+def archive(station: Any) -> Path:
+    station.settings["archive"] = {"folder": "archive", "frames": {"min_free_mb": 0}}
+    station.settings["camera"]["rate_hz"] = 0
+    station.write()
+    return station.folder / "archive"
+
+
+def read(archive: Path, sql: str) -> list[tuple[Any, ...]]:
+    with closing(sqlite3.connect(archive / FILE)) as other:
+        return other.execute(sql).fetchall()
+
+
+def sequences(archive: Path) -> list[int]:
+    return [row[0] for row in read(archive, "SELECT sequence FROM result ORDER BY id")]
+
+
+def test_a_killed_service_has_lost_nothing_that_the_plc_saw(
+    station: Any, archive: Path, module: Callable[[], ModuleServer], service: Callable[..., Any]
+) -> None:
+    module()
+    seen: list[int] = []
+    for _ in range(3):
+        one = service()
+        plc = one.plc()
+        registers = one.until(lambda r: r["sequence"] > max(seen, default=0) + 5 and r["verdict"], "five results more")
+        while True:
+            registers = plc.read()
+            if not registers["status"] & Status.STORE_DEGRADED:
+                seen.append(registers["sequence_u32"])
+            if len(set(seen)) % 10 == 9:
+                break
+        one.send(signal.SIGKILL)
+        one.ended()
+        assert set(seen) - {0} <= set(sequences(archive))
+    assert read(archive, "PRAGMA integrity_check") == [("ok",)]
+    assert read(archive, "SELECT count(*) FROM run WHERE ended_s IS NULL") == [(3,)]
+    assert sequences(archive) == sorted(set(sequences(archive)))
+
+
+def test_every_frame_kept_explains_its_result(
+    station: Any, archive: Path, module: Callable[[], ModuleServer], service: Callable[..., Any]
+) -> None:
+    module()
+    one = service("--panels", "40")
+    assert one.ended() == 0
+    assert sequences(archive) == list(range(1, 41))
+    kept = read(archive, "SELECT result & 0xffffffff, image, kept FROM frame WHERE image IS NOT NULL")
+    assert len(kept) == 40
+    for sequence, image, why in kept:
+        folder = (archive / image).parent
+        line = next(r for r in session.parse((folder / session.INDEX).read_text()) if r.file == Path(image).name)
+        said = inspected(line)
+        assert said is not None
+        assert (said.sequence, said.kept) == (sequence, why)
+        version = from_json((folder / version_file(said.settings)).read_text())
+        frame = Frame(cv2.imread(str(archive / image), cv2.IMREAD_UNCHANGED), line.file)
+        assert result_json.same(inspect(frame, Station(version.calibration, version.recipe)), said.result)
+        rows = read(archive, f"SELECT height_um FROM defect WHERE result & 0xffffffff = {sequence} ORDER BY number")
+        assert [h for (h,) in rows] == [d.height_um for d in said.result.defects]
+    assert read(archive, "SELECT name FROM settings_version") == [(said.settings,)]
+
+
+def test_without_its_disk_the_line_goes_on_and_nothing_is_lost(
+    station: Any, archive: Path, module: Callable[[], ModuleServer], service: Callable[..., Any]
+) -> None:
+    module()
+    one = service()
+    one.until(lambda r: r["sequence"] > 3 and not r["status"] & Status.STORE_DEGRADED, "stored results")
+    # The folder goes, and a file takes its place: nothing can be opened there, not even by root.
+    archive.rename(station.folder / "elsewhere")
+    archive.write_text("no folder")
+    lost = one.until(lambda r: r["status"] & Status.STORE_DEGRADED, "STORE_DEGRADED")
+    later = one.until(lambda r: r["sequence"] > lost["sequence"] + 20 and r["verdict"], "inspection goes on")
+    assert later["status"] & Status.STORE_DEGRADED
+    assert later["store_waiting"] >= 20
+    archive.unlink()
+    shutil.move(station.folder / "elsewhere", archive)
+    back = one.until(
+        lambda r: r["sequence"] > later["sequence"] and not r["status"] & Status.STORE_DEGRADED, "it is back"
+    )
+    one.send(signal.SIGTERM)
+    assert one.ended() == 0
+    found = sequences(archive)
+    assert found == list(range(1, found[-1] + 1))
+    assert found[-1] >= back["sequence"]
+    assert sum("results' store fails" in line for line in one.log) == 1
+    assert sum("results' store works again" in line for line in one.log) == 1
+    faults = read(archive, "SELECT code, ended_s >= began_s FROM fault WHERE code = 601")
+    assert (601, 1) in faults
+
+
+def test_a_damaged_store_is_set_aside_and_the_plc_is_told_until_it_clears(
+    station: Any, archive: Path, module: Callable[[], ModuleServer], service: Callable[..., Any]
+) -> None:
+    module()
+    archive.mkdir()
+    (archive / FILE).write_bytes(b"this was a store once" * 1000)
+    one = service()
+    told = one.until(lambda r: r["status"] & Status.STORE_DAMAGED and r["verdict"], "STORE_DAMAGED")
+    assert told["fault_code"] == 0
+    assert one.plc().write(CONTROL_ADDRESS, Control.CLEAR_FAULT) == 0
+    one.until(lambda r: not r["status"] & Status.STORE_DAMAGED, "cleared")
+    one.send(signal.SIGTERM)
+    assert one.ended() == 0
+    (aside,) = archive.glob("results.set-aside-*.sqlite")
+    assert aside.read_bytes() == b"this was a store once" * 1000
+    assert sequences(archive)
+    assert read(archive, "SELECT what FROM action") == [("CLEAR_FAULT",)]
+
+
+def test_a_panel_of_several_frames_is_kept_as_one(
+    station: Any, archive: Path, module: Callable[[], ModuleServer], service: Callable[..., Any]
+) -> None:
+    module()
+    station.settings["panel"] = {
+        "frames": {"kind": "count", "count": 3},
+        "travel": {"by": {"kind": "pitch", "mm_per_frame": 5}},
+    }
+    station.write()
+    assert service("--panels", "6").ended() == 0
+    assert read(archive, "SELECT result & 0xffffffff, count(*), max(travel_mm) FROM frame GROUP BY result") == [
+        (n, 3, 10.0) for n in range(1, 7)
+    ]
+    for index in archive.glob(f"*/*/{session.INDEX}"):
+        said = [inspected(recorded) for recorded in session.parse(index.read_text())]
+        places = [(one.number, one.panel is not None) for one in said if one]
+        assert places == [(0, False), (1, False), (2, True)] * (len(said) // 3)
