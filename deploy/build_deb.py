@@ -34,6 +34,17 @@ HOME = Path("usr/lib") / NAME
 SITE = HOME / f"lib/python{PYTHON}/site-packages"
 SHARE = Path("usr/share") / NAME
 DOC = Path("usr/share/doc") / NAME
+SYSTEM = {
+    "*.service": "lib/systemd/system",
+    "*.timer": "lib/systemd/system",
+    "inspector.service.d/*": "lib/systemd/system/inspector.service.d",
+    "system.conf.d/*": "lib/systemd/system.conf.d",
+    "journald.conf.d/*": "lib/systemd/journald.conf.d",
+    "sysctl.d/*": "usr/lib/sysctl.d",
+    "tmpfiles.d/*": "usr/lib/tmpfiles.d",
+    "udev/*": "lib/udev/rules.d",
+}
+"""Where each of the files in deploy/ goes: a plant's own of the same name under /etc takes the place of each."""
 DEBIAN = REPOSITORY / "deploy/debian"
 
 
@@ -98,16 +109,14 @@ def make_environment(root: Path) -> None:
 
 
 def add_settings(root: Path) -> None:
-    """What a new station begins with, its units, and who may use its cameras."""
+    """What a new station begins with, and what it asks of the system."""
     settings = root / SHARE / "config"
     shutil.copytree(REPOSITORY / "config", settings, ignore=shutil.ignore_patterns("frames"))
     (settings / "demo.yaml").unlink()
-    units, rules = root / "lib/systemd/system", root / "lib/udev/rules.d"
-    units.mkdir(parents=True)
-    rules.mkdir(parents=True)
-    for unit in ("inspector.service", "inspector-page.service"):
-        shutil.copy(REPOSITORY / "deploy" / unit, units)
-    shutil.copy(DEBIAN / "udev.rules", rules / f"60-{NAME}.rules")
+    for files, place in SYSTEM.items():
+        for source in (REPOSITORY / "deploy").glob(files):
+            (root / place).mkdir(parents=True, exist_ok=True)
+            shutil.copy(source, root / place)
 
 
 def add_documents(root: Path) -> None:

@@ -8,6 +8,7 @@ import re
 import statistics
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -130,3 +131,17 @@ def test_the_readme_names_commands_that_exist() -> None:
     targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     named = set(re.findall(r"(?:^    |`)make ([a-z]+)", (ROOT / "README.md").read_text(), re.MULTILINE))
     assert {"demo", "test"} <= named <= targets
+
+
+def test_units_start_the_command_where_the_package_puts_it() -> None:
+    elsewhere = r"^Exec\w+=(?!/usr/bin/inspector ).*\binspector (run|page|health)\b|/opt/"
+    assert not lines_with(elsewhere, [p for p in FILES if p.is_relative_to(ROOT / "deploy") and p.suffix == ".service"])
+
+
+def test_every_file_of_the_two_packages_is_installed_with_them() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    patterns = ["*.py", "*.c", "*.h", *settings["package-data"]["*"]]
+    listed = ["git", "-C", str(ROOT), "ls-files", "inspector", "firmware_bridge"]
+    names = subprocess.run(listed, capture_output=True, text=True, check=True, timeout=60).stdout.splitlines()
+    assert names
+    assert not [name for name in names if not any(Path(name).match(pattern) for pattern in patterns)]
