@@ -104,7 +104,7 @@ def test_on_aarch64_it_inspects_a_frame_to_the_same_heights(aarch64: Path, frame
     shutil.copytree(frames_folder, aarch64 / "frames")
     emulated = ["chroot", str(aarch64), "/emulator", "/usr/bin/python3", "-I", "-c", START]
     there = inspect([*emulated], Path("/frames"))
-    here = inspect([sys.executable, "-m", "inspector.cli"], frames_folder)
+    here = inspect([sys.executable, "-P", "-m", "inspector.cli"], frames_folder)
     assert len(there) == 4
     assert there == pytest.approx(here, rel=1e-9)
 

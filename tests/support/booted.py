@@ -44,6 +44,7 @@ _COMMAND = f"""\
 LD_LIBRARY_PATH={PROGRAM}/python/lib exec {PROGRAM}/.venv/bin/python -m inspector.cli "$@"
 """
 _UNITS_OF_THIS_MACHINE = ("etc/systemd/system", *(f"etc/rc{level}.d" for level in "S0123456"))
+_STATION_OF_THIS_MACHINE = ("etc/inspector", "var/lib/inspector", "var/lib/private/inspector")
 # What DeviceAllow= and IPAddressDeny= of the units inside need of the kernel.
 _ENVIRONMENT = {"SYSTEMD_NSPAWN_UNIFIED_HIERARCHY": "1"}
 _PRIVILEGES = ("--capability=all", "--system-call-filter=bpf perf_event_open")
@@ -74,7 +75,9 @@ class Booted:
         self._forget_this_machine()
 
     def _forget_this_machine(self) -> None:
-        """Nothing that is enabled here starts there."""
+        """Nothing that is enabled here starts there, and no station's files are there."""
+        for name in _STATION_OF_THIS_MACHINE:
+            shutil.rmtree(self.root / name, ignore_errors=True)
         for name in _UNITS_OF_THIS_MACHINE:
             shutil.rmtree(self.root / name, ignore_errors=True)
             (self.root / name).mkdir()
