@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 from pathlib import Path
 
 from firmware_bridge.wire import image
@@ -22,9 +23,10 @@ def read(path: Path) -> Image:
     Devices and pipes, which may never end, are not opened.
     """
     try:
-        if path.is_dir():
+        mode = path.stat().st_mode
+        if stat.S_ISDIR(mode):
             raise FrameUnreadable(path, "is a folder; name the frames in it")
-        if path.exists() and not path.is_file():
+        if not stat.S_ISREG(mode):
             raise FrameUnreadable(path, f"is no ordinary file; save the frame as {image.KINDS_TEXT}")
         return image.decode(path.read_bytes())
     except FileNotFoundError:
