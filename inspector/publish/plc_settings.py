@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, Field, PositiveFloat, model_validator
 
 from firmware_bridge.strict import Strict
+from inspector.credential import SecretPath
 from inspector.publish.plc_access import LOOPBACK
 from inspector.publish.registers import RESULT_WORDS
 
@@ -54,8 +55,9 @@ class TlsSettings(Strict):
     """TCP port; 802 is Modbus/TCP Security's own and needs a privilege; 0 takes any free one."""
     certificate: FilePath
     """The station's certificate, and those between it and its root; PEM."""
-    key: FilePath
-    """The private key of that certificate; PEM, without a password."""
+    key: SecretPath
+    """The private key of that certificate; PEM, without a password. `credential:NAME`: the one that systemd hands to
+    the service (LoadCredential=)."""
     client_ca: FilePath
     """Certificates of the authorities that clients' certificates must come from; PEM."""
     write_roles: tuple[str, ...] = ()
