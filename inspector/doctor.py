@@ -7,7 +7,6 @@ to 0 V and read back. The service must be stopped, since its devices have one ow
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import enum
 import json
 import os
@@ -24,8 +23,10 @@ import typer
 from firmware_bridge import factory
 from firmware_bridge.errors import BridgeError, NoTrigger
 from firmware_bridge.links.ports import open_serial
-from inspector import calibration_file, yaml_document
+from inspector import calibration_file, permissions, yaml_document
 from inspector.acquire.fresh import FreshFrames
+from inspector.clock import synchronised
+from inspector.last_good import state_folder
 from inspector.publish.plc_server import PlcServer, PlcServerError
 from inspector.settings import Settings, SettingsError, load
 
@@ -37,10 +38,6 @@ DISK_LEAST_BYTES, DISK_LOW_BYTES = 50e6, 1e9
 """Under the first nothing can be kept; the second is a few days of logs."""
 EARLIEST_S = 1735689600.0
 """2025 began so many Unix seconds in: a clock that shows less was never set."""
-TIME_ERROR = 5
-"""What adjtimex(2) returns while nothing keeps the clock right."""
-TIMEX_BYTES = 512
-"""More than any platform's struct timex; all zero asks without changing anything."""
 
 
 class State(enum.StrEnum):
@@ -96,6 +93,7 @@ def examine(config: Path, build: Build = factory.build) -> Iterator[Finding]:
     else:
         yield Finding("settings", State.OK, f"read {config}", f"right, station {settings.station!r}")
         yield _calibration(settings)
+        yield from _permissions(config, settings)
         yield from _files(settings)
         yield from _devices(settings, build(settings.camera, settings.module, settings.lamp))
         yield _plc_port(settings)
@@ -115,6 +113,14 @@ def _calibration(settings: Settings) -> Finding:
     if days > CALIBRATION_DAYS:
         return Finding("calibration", State.WARNING, tried, found, "check it against a board: inspector calibrate")
     return Finding("calibration", State.OK, tried, found)
+
+
+def _permissions(config: Path, settings: Settings) -> Iterator[Finding]:
+    """Who else may change the settings or read the key."""
+    tried, found = "look who may read and write", permissions.misfits(config, settings, state_folder())
+    well = Finding("permissions", State.OK, tried, "settings, calibration and keys are kept from others")
+    wrong = [Finding("permissions", State.WARNING, tried, f"{m.path}: {m.found}", m.remedy) for m in found]
+    yield from wrong or [well]
 
 
 def _files(settings: Settings) -> Iterator[Finding]:
@@ -243,12 +249,6 @@ def _clock(now_s: float) -> Finding:
     found = time.strftime("%Y-%m-%d %H:%M:%S %Z", time.localtime(now_s))
     if now_s < EARLIEST_S:
         return Finding("clock", State.WARNING, tried, f"{found}, it was never set", "set it: timedatectl set-ntp true")
-    if not _synchronised():
+    if not synchronised():
         return Finding("clock", State.WARNING, tried, f"{found}, nothing keeps it right", "timedatectl set-ntp true")
     return Finding("clock", State.OK, tried, f"{found}, kept right")
-
-
-def _synchronised() -> bool:
-    buffer = ctypes.create_string_buffer(TIMEX_BYTES)
-    state = int(ctypes.CDLL(None, use_errno=True).adjtimex(buffer))
-    return state not in (-1, TIME_ERROR)

@@ -315,6 +315,7 @@ class Snapshot:
     """The results' store was damaged and has been set aside; until somebody has seen it."""
     store_waiting: int = 0
     """Entries that wait for the store, while it is degraded."""
+    clock_unsynchronised: bool = False
     statistics: Statistics | None = None
     """Of the paint line, after the newest result, also while older ones are shown; None while there are none."""
     statistics_sequence: int = 0

@@ -60,6 +60,7 @@ class Status(enum.IntFlag):
     LAMP_WEAK = 1 << 10
     STORE_DEGRADED = 1 << 11
     STORE_DAMAGED = 1 << 12
+    CLOCK_UNSYNCHRONISED = 1 << 13
 
 
 STATUS_MEANINGS = {
@@ -72,10 +73,11 @@ STATUS_MEANINGS = {
     Status.SATURATED_VALUE: "Some measured value is outside its register's range and stands at the range's end",
     Status.DEFECTS_TRUNCATED: "More defects than the result block shows: read the defect list",
     Status.LIST_TRUNCATED: "More defects than the defect list shows",
-    Status.SETTINGS_REFUSED: "New settings were refused (503); inspection goes on with the old ones",
+    Status.SETTINGS_REFUSED: "New settings were refused or taken back (503); inspection goes on with the old ones",
     Status.LAMP_WEAK: "The lamp is near the end of what its level may be raised by (203): change the bulb soon",
     Status.STORE_DEGRADED: "A result that is shown may not be on the disk (601); inspection goes on",
     Status.STORE_DAMAGED: "The results' store was damaged, and a new one begun (602); until CLEAR_FAULT",
+    Status.CLOCK_UNSYNCHRONISED: "Nothing is known to keep the station's clock right: its records' times may be wrong",
 }
 
 
@@ -121,6 +123,7 @@ def _status(p: Publication) -> Number:
         Status.LAMP_WEAK: s.lamp_weak,
         Status.STORE_DEGRADED: s.store_degraded,
         Status.STORE_DAMAGED: s.store_damaged,
+        Status.CLOCK_UNSYNCHRONISED: s.clock_unsynchronised,
     }
     return sum(bit for bit, is_set in bits.items() if is_set)
 

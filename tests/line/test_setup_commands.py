@@ -39,12 +39,20 @@ def test_a_whole_station_can_run_and_its_lamp_stays_dark(station: Any, module: C
     assert done.exit_code == 0, done.output
     parts = [line.split()[1] for line in done.output.splitlines()[:-1]]
     assert parts == [
-        "settings", "calibration", "device", "module", "lamp", "lamp", "camera", "exposure", "frame", "PLC", "disk",
+        "settings", "calibration", "permissions", "device", "module", "lamp", "lamp", "camera", "exposure", "frame", "PLC", "disk",
         "clock",
     ]  # fmt: skip
     assert "lamp         set 0 V and read back: 0.000 V" in done.output
     assert done.output.splitlines()[-1] == "the station can run"
     assert server.module.output_v(0) == 0.0
+
+
+def test_settings_that_everybody_may_write_are_a_warning_with_the_remedy(station: Any) -> None:
+    station.file.chmod(0o666)
+    done = CliRunner().invoke(app, ["doctor", "--config", str(station.file)])
+    (line,) = (line for line in done.output.splitlines() if " permissions " in line)
+    assert line.startswith("warning")
+    assert line.endswith(f"-> chmod o-w {station.file}")
 
 
 def test_the_report_is_data_too(station: Any, module: Callable[[], ModuleServer]) -> None:
