@@ -76,3 +76,6 @@ class CycleSettings(Strict):
     """A failed device is tried again after this time, seconds; each further failure doubles it."""
     retry_longest_s: float = Field(2.0, gt=0, le=600)
     """The longest time between two tries, seconds."""
+    rollback_after_s: float | None = Field(30.0, ge=1, le=3600)
+    """After a reload, a station that was ready and is not again within this time goes back to the last good settings,
+    seconds; null: never."""

@@ -18,10 +18,12 @@ from firmware_bridge import factory
 from firmware_bridge.errors import BridgeError, NoTrigger
 from inspector import calibration_file, line_history, pace, recipe_choice, snapshots
 from inspector.acquire.trigger import Trigger
+from inspector.clock import ClockWatch
 from inspector.cycle import Cycle
 from inspector.faults import Fault
-from inspector.front import Front, described, log_problems
+from inspector.front import Front, described
 from inspector.handshake_table import Command
+from inspector.last_good import Begun, log_problems
 from inspector.ledger import Ledger
 from inspector.lifecycle import Event, after
 from inspector.model import Frame, PanelResult, Snapshot
@@ -31,6 +33,7 @@ from inspector.publish import console
 from inspector.publish.plc_server import PlcServerError
 from inspector.publish.result_log import Tell, on_terminal
 from inspector.settings import Settings, SettingsError, configuration_hash, load, with_recipe
+from inspector.settings_trial import SettingsTrial
 from inspector.signals import Signals, StopRequested
 from inspector.stages import Inspection, inspection_of
 
@@ -63,13 +66,15 @@ class Daemon:
         front: Front,
         signals: Signals,
         *,
+        trial: SettingsTrial | None = None,
         inspection: Callable[[Settings], Inspection] = inspection_of,
         build: Callable[..., factory.Devices] = factory.build,
         tell: Tell = on_terminal,
     ) -> None:
         self._file, self._front, self._signals = file, front, signals
         self._settings, self._settings_recipe_id = front.settings, front.settings_recipe_id
-        self._notifier, self._snapshot = front.notifier, front.snapshot
+        self._trial = trial or SettingsTrial(file, Begun(front.settings))
+        self._notifier, self._snapshot, self._clock = front.notifier, front.snapshot, ClockWatch()
         self._make_inspection, self._build_devices = inspection, build
         self._sequence, self._control, self._outlets = front.sequence, front.control, front.outlets
         self._observed = front.observed
@@ -146,6 +151,8 @@ class Daemon:
         if self._signals.reload:
             self._signals.reload = False
             self._reload()
+        if self._trial.overdue:
+            self._go_back()
         self._due_s()  # what was missed meanwhile is known before a panel's end is
         self._obey()
         if self._triggered_before(ends_s):
@@ -173,7 +180,8 @@ class Daemon:
     def _interrupted(self) -> bool:
         """Whether something else is to be done than to wait for a trigger."""
         signals, control = self._signals, self._control
-        return signals.stop or signals.reload or control.asks or control.online is not self._online
+        asked = signals.stop or signals.reload or control.asks or control.online is not self._online
+        return asked or self._trial.overdue
 
     @property
     def _awaits_plc(self) -> bool:
@@ -194,7 +202,8 @@ class Daemon:
             self._panels.unread(f"whether a trigger came could not be read: {error}")
 
     def _keep_ready(self) -> None:
-        self._show_changed(self._cycle.keep_ready(self._snapshot))
+        self._show_changed(self._counted(self._cycle.keep_ready(self._snapshot)))
+        self._trial.saw(self._snapshot)
         self._spoken_s = time.monotonic()
 
     @property
@@ -248,6 +257,7 @@ class Daemon:
             self._publish_panels(self._panels)
         self._control.cycle_ended(self._awaits_plc)
         self._show_changed(self._counted(self._snapshot))
+        self._trial.saw(self._snapshot)
 
     def _taken(self, frame: Frame | None) -> None:
         """The frame is there, or will not be: what is left waits for no device, so that silence is soon a stall."""
@@ -332,7 +342,8 @@ class Daemon:
         self._show(replace(self._snapshot, statistics=None))
 
     def _counted(self, snapshot: Snapshot) -> Snapshot:
-        return replace(snapshot, missed_triggers=self._trigger.missed, late_triggers=self._trigger.late)
+        missed, late, unsynchronised = self._trigger.missed, self._trigger.late, self._clock.unsynchronised
+        return replace(snapshot, missed_triggers=missed, late_triggers=late, clock_unsynchronised=unsynchronised)
 
     def _show_changed(self, snapshot: Snapshot) -> None:
         if snapshot != self._snapshot:
@@ -346,10 +357,12 @@ class Daemon:
     def _reload(self) -> None:
         """Take over the settings file if it is right; else say what is wrong and go on as before."""
         self._notifier.reloading()
+        before = self._snapshot
         try:
             found = load(self._file)
-            self._take_over(recipe_choice.resumed(found), renews_certificates=True)
-            self._settings_recipe_id = found.recipe.id
+            self._adopt(found)
+            self._trial.tries(found, before)
+            self._snapshot = replace(self._snapshot, settings_refused=False)
             log.info("settings taken over from %s, hash %08x", self._file, self._snapshot.configuration_hash)
             self._ledger.acted("settings", "taken over", f"{self._snapshot.configuration_hash:08x}")
         except SettingsError as error:
@@ -360,6 +373,20 @@ class Daemon:
             self._refuse()
         self._show(self._snapshot)
         self._notifier.send("READY=1")
+
+    def _go_back(self) -> None:
+        """The last good settings are in force again, since the new ones did not bring the station to Ready."""
+        try:
+            self._adopt(self._trial.go_back())
+        except (SettingsError, PlcServerError, calibration_file.CalibrationError, OSError) as error:
+            log.error("the last good settings cannot be used either: %s", error)
+        self._refuse()
+        self._show(self._snapshot)
+
+    def _adopt(self, found: Settings) -> None:
+        """Take settings over as they were read, with the recipe that the PLC chose after that."""
+        self._take_over(recipe_choice.resumed(found), renews_certificates=True)
+        self._settings_recipe_id = found.recipe.id
 
     def _refuse(self) -> None:
         fault = Fault.SETTINGS_REFUSED
@@ -388,7 +415,7 @@ class Daemon:
         anew = described(self._snapshot, new, new_hash, Event.STOPPED, Event.UNPREPARED)
         if new_hash != self._snapshot.configuration_hash:
             anew = snapshots.taken_back(anew)
-        self._snapshot = replace(anew, frames_so_far=0, settings_refused=False, simulated=self._cycle.simulated)
+        self._snapshot = replace(anew, frames_so_far=0, simulated=self._cycle.simulated)
 
     def _say_farewell(self) -> None:
         self._notifier.send("STOPPING=1")

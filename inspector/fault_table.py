@@ -186,6 +186,18 @@ ROWS = (
         "when a reload takes settings over",
     ),
     FaultRow(
+        "new settings do not bring a station to Ready that was (cycle.rollback_after_s)",
+        Fault.SETTINGS_REFUSED,
+        "with the new settings the station did not become ready within … s …: the last good ones are in force again",
+        "the last good settings are in force by themselves; the bit stays until a reload takes settings over",
+    ),
+    FaultRow(
+        "the settings are refused at a start",
+        Fault.SETTINGS_REFUSED,
+        "settings refused: …, a line for each problem; fault 503: the last good settings are used; …",
+        "when a reload takes settings over. Without last good ones the service ends with status 78",
+    ),
+    FaultRow(
         "the disk is full, read-only, gone or too slow for the results",
         Fault.STORE_DEGRADED,
         "results' store fails: …. Check the disk: space, health, mount",

@@ -5,7 +5,6 @@ Whatever this module imports, the PLC waits for; a rule of the house says what t
 
 from __future__ import annotations
 
-import logging
 from contextlib import suppress
 from dataclasses import replace
 
@@ -18,10 +17,8 @@ from inspector.outlets import Outlets
 from inspector.publish.systemd import Notifier
 from inspector.recipe import content_hash
 from inspector.sequence_file import SequenceFile
-from inspector.settings import Settings, SettingsError, configuration_hash
+from inspector.settings import Settings, configuration_hash
 from inspector.signals import Signals
-
-log = logging.getLogger(__name__)
 
 PREPARING_S = 30.0
 """After the registers are served the cycle may take so long to begin: on a slow processor a first start does."""
@@ -30,12 +27,20 @@ PREPARING_S = 30.0
 class Front:
     """The registers of one station, and what becomes of what the PLC writes; the cycle joins when it is ready."""
 
-    def __init__(self, settings: Settings, signals: Signals, notifier: Notifier | None = None) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        signals: Signals,
+        notifier: Notifier | None = None,
+        *,
+        settings_refused: bool = False,
+    ) -> None:
         self.settings, self.settings_recipe_id = recipe_choice.resumed(settings), settings.recipe.id
         self.notifier = notifier or Notifier()
         _make_folder(settings)
         self.sequence = SequenceFile(settings.plc.sequence_file)
-        self.snapshot = Snapshot(sequence=self.sequence.first, panel_id=self.sequence.first)
+        first = self.sequence.first
+        self.snapshot = Snapshot(sequence=first, panel_id=first, settings_refused=settings_refused)
         self.control = PlcControl(self.snapshot, signals.wake)
         self.observed = Observed()
         self.outlets = Outlets(settings, self.control, self.notifier, self.observed)
@@ -79,9 +84,3 @@ def described(snapshot: Snapshot, settings: Settings, settings_hash: int, *event
         lamp_set_v=settings.lamp.volts(settings.recipe.lamp_percent),
         configuration_hash=settings_hash,
     )
-
-
-def log_problems(error: SettingsError) -> None:
-    """Say everything that is wrong with refused settings."""
-    for problem in error.problems:
-        log.error("settings refused: %s", problem)

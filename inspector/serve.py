@@ -6,13 +6,14 @@ import logging
 import sys
 from pathlib import Path
 
-from inspector import journal_log
-from inspector.front import Front, log_problems
+from inspector import journal_log, last_good
+from inspector.front import Front
 from inspector.journal_log import JournalHandler, TextFormatter, leads_to_journal
+from inspector.last_good import log_problems
 from inspector.metrics.table import Gauges
 from inspector.publish.plc_server import PlcServerError
 from inspector.publish.result_log import ResultLog, on_terminal
-from inspector.settings import SettingsError, load
+from inspector.settings import SettingsError
 from inspector.signals import Signals
 
 log = logging.getLogger(__name__)
@@ -24,14 +25,15 @@ EXIT_STOPPED, EXIT_PORT_TAKEN, EXIT_SETTINGS_REFUSED = 0, 69, 78
 def run(file: Path, panels: int | None = None, duration_s: float | None = None) -> int:
     """Serve until asked to stop, or for so many results or seconds; the exit status.
 
-    Settings that are refused are named in the log, all of them.
+    Settings that are refused are named in the log, all of them, and the last good ones used in their place, if any are.
     """
     signals = Signals()
     signals.install()
     gauges = _begin_log()
     tell = ResultLog().tell if leads_to_journal(sys.stdout.fileno()) else on_terminal
     try:
-        front = Front(load(file), signals)
+        begun = last_good.begin(file, last_good.state_folder())
+        front = Front(begun.settings, signals, settings_refused=begun.refused)
         front.outlets.gauges += gauges
         front.start()
     except SettingsError as error:
@@ -40,9 +42,15 @@ def run(file: Path, panels: int | None = None, duration_s: float | None = None) 
     except PlcServerError as error:
         log.error("%s", error)
         return EXIT_PORT_TAKEN
-    from inspector.daemon import Daemon, Limits  # the registers are answered while these are imported
+    from inspector import permissions  # the registers are answered while these are imported
+    from inspector.daemon import Daemon, Limits
+    from inspector.settings_trial import SettingsTrial
 
-    Daemon(file, front, signals, tell=tell).run(Limits(panels, duration_s))
+    folder = last_good.state_folder()
+    for misfit in permissions.misfits(file, begun.settings, folder):
+        log.warning("%s", misfit)
+    trial = SettingsTrial(file, begun, folder)
+    Daemon(file, front, signals, trial=trial, tell=tell).run(Limits(panels, duration_s))
     return EXIT_STOPPED
 
 

@@ -41,6 +41,10 @@ ELSEWHERE = {
     "the line babbles without end": "bridge/test_modbus_master.py::test_a_babbling_line_does_not_hang_a_request",
     "the cycle hangs": "publish/test_plc_server.py::test_a_stalled_cycle_is_told_until_it_beats_again",
     "an error in the program": "line/test_daemon.py::test_an_error_in_the_program_is_a_fault",
+    "new settings do not bring a station to Ready that was (cycle.rollback_after_s)": (
+        "line/test_last_good.py::test_over_the_wire_settings_that_fail_are_taken_back"
+    ),
+    "the settings are refused at a start": "line/test_last_good.py::test_a_refused_file_begins_with_the_last_good",
     "new settings are refused at a reload": "line/test_service.py::test_reload_takes_a_right_file_whole_and_a_wrong",
 }
 """Rows that other tests meet, by file and the beginning of the name. The module's are in test_faults_at_the_wire.py."""
