@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from inspector.cli_health import health
 from inspector.cli_page import page
 from inspector.cli_recipes import recipe_app
 from inspector.cli_sessions import Method, sessions_app
@@ -20,6 +21,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 config_app = typer.Typer(help="Check, show and document settings.", no_args_is_help=True)
+app.command()(health)
 app.add_typer(config_app, name="config")
 io_app = typer.Typer(help="The I/O module's points, at the cabinet, with the service stopped.", no_args_is_help=True)
 app.add_typer(io_app, name="io")

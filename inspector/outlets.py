@@ -15,7 +15,7 @@ from inspector.control import PlcControl
 from inspector.cycle_settings import Timed
 from inspector.metrics.observed import Observed
 from inspector.model import Snapshot
-from inspector.publish import console
+from inspector.publish import address, console
 from inspector.publish.plc_server import PRODUCT, PlcServer, PlcServerError, as_stalled
 from inspector.publish.systemd import Notifier
 from inspector.settings import Settings
@@ -52,7 +52,7 @@ class Outlets:
         self._serve()
         self._post_anew(None, first)
         self._measure_anew(None)
-        console.say(console.how_to_poll(self._settings.plc.host, self.server.port))
+        _say_where(self._settings, self.server)
 
     def reach(self, new: Settings, *, renews_certificates: bool) -> None:
         """Listen as ``new`` says. Raises PlcServerError, and then listens on as before."""
@@ -96,7 +96,7 @@ class Outlets:
             raise
         self.server.stop()
         self.server = server
-        console.say(console.how_to_poll(new.plc.host, server.port))
+        _say_where(new, server)
 
     def _serve(self) -> None:
         """Registers are shown by this server, as the settings say, and the cycle may be silent as they let it."""
@@ -168,6 +168,12 @@ class Outlets:
             process=process.now(),
             more={name: value for gauges in tuple(self.gauges) for name, value in gauges().items()},
         )
+
+
+def _say_where(settings: Settings, server: PlcServer) -> None:
+    """To people, and to programs of this machine."""
+    console.say(console.how_to_poll(settings.plc.host, server.port))
+    address.tell(settings.plc.host, server.port, settings.plc.unit_ids[0])
 
 
 def _server(settings: Settings, control: PlcControl) -> PlcServer:

@@ -9,12 +9,12 @@ import typer
 
 from inspector.faults import Fault
 from inspector.model import Snapshot, Verdict
+from inspector.publish.address import EVERYWHERE
 from inspector.publish.registers import RESULT_ADDRESS, RESULT_WORDS
 
 COLOURS = {Verdict.PASS: "green", Verdict.FAIL: "red", Verdict.NOT_INSPECTED: "yellow"}
 HEIGHTS_SHOWN = 8
 """More heights than this are counted, not listed, so that a panel stays one line."""
-EVERY_ADDRESS = ("0.0.0.0", "::")
 
 
 def say(line: str) -> None:
@@ -28,7 +28,7 @@ def say(line: str) -> None:
 
 def how_to_poll(host: str, port: int) -> str:
     """Where the registers are, and the command line that reads the result block once."""
-    reachable = "127.0.0.1" if host in EVERY_ADDRESS else host
+    reachable = EVERYWHERE.get(host, host)
     return (
         f"Registers: Modbus TCP on {host}:{port}; `inspector registers` says what they mean. Read them with:\n"
         f"  mbpoll -m tcp -0 -1 -t 4 -r {RESULT_ADDRESS} -c {RESULT_WORDS} -p {port} {reachable}"

@@ -39,8 +39,8 @@ def test_a_whole_station_can_run_and_its_lamp_stays_dark(station: Any, module: C
     assert done.exit_code == 0, done.output
     parts = [line.split()[1] for line in done.output.splitlines()[:-1]]
     assert parts == [
-        "settings", "calibration", "permissions", "device", "module", "lamp", "lamp", "camera", "exposure", "frame", "PLC",
-        "disk", "clock",
+        "settings", "calibration", "permissions", "device", "module", "lamp", "lamp", "camera", "exposure", "frame",
+        "PLC", "disk", "clock",
     ]  # fmt: skip
     assert "lamp         set 0 V and read back: 0.000 V" in done.output
     assert done.output.splitlines()[-1] == "the station can run"
