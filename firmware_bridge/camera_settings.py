@@ -12,9 +12,19 @@ from firmware_bridge.wire.ccd_dialects import DIALECTS, Dialect
 from firmware_bridge.wire.raw_frames import RawFormat
 
 CameraFault = Literal[
-    "gone", "silent", "damaged", "old", "ids back", "black", "saturated", "noise", "other size", "other exposure"
+    "gone",
+    "silent",
+    "damaged",
+    "old",
+    "ids back",
+    "black",
+    "saturated",
+    "noise",
+    "other size",
+    "other exposure",
+    "hangs",
 ]
-"""What can go wrong with a frame."""
+"""What can go wrong with a frame. "hangs": the driver breaks its word and never returns; the watchdogs end that."""
 NOMINAL_EXPOSURE_US = 1000.0
 """The exposure at which the brightness of what is drawn is told."""
 SeedPlace = Annotated[tuple[float, float, Annotated[float, Field(gt=0)]], Field(strict=False)]

@@ -1,4 +1,4 @@
-"""Secrets that systemd hands to the service (LoadCredential=): files that only the running service can read.
+"""Secrets that systemd hands to the service (LoadCredential=): files that only root and the running service can read.
 
 A setting names one as ``credential:NAME``, in the place of a path.
 """
@@ -14,26 +14,28 @@ from pydantic import AfterValidator, Field
 PREFIX = "credential:"
 FOLDER = "CREDENTIALS_DIRECTORY"
 """The environment's variable in which systemd says where they are (systemd.exec(5))."""
+STORE = Path("/etc/credstore")
+"""Where systemd takes them from."""
 
 
 def _found(path: Path) -> Path:
-    """The credential's file for ``credential:NAME``, any other path as it is. Raises ValueError if there is none."""
+    """The credential's file for ``credential:NAME``, any other path as it is. Raises ValueError if there is none.
+
+    Outside of a service it is the file that systemd would hand over, so that root can check settings.
+    """
     if not str(path).startswith(PREFIX):
         return path
     name = str(path).removeprefix(PREFIX)
-    folder = os.environ.get(FOLDER)
-    if not folder:
-        raise ValueError(f"credentials are there only in a service; allowed: a path, or a unit with {_remedy(name)}")
     if Path(name).name != name:
         raise ValueError(f"allowed: {PREFIX}NAME, without a folder")
-    file = Path(folder, name)
-    if not file.is_file():
+    file = Path(os.environ.get(FOLDER) or STORE, name)
+    if not os.path.isfile(file):
         raise ValueError(f"there is no such credential; allowed: a path, or a unit with {_remedy(name)}")
     return file
 
 
 def _remedy(name: str) -> str:
-    return f"LoadCredential={name or 'NAME'} and the file /etc/credstore/{name or 'NAME'}"
+    return f"LoadCredential={name or 'NAME'} and the file {STORE / (name or 'NAME')}"
 
 
 def is_credential(file: Path) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -51,6 +52,8 @@ class FaultyCamera:
         if kind is None:
             self._last = frame
             return frame
+        if kind == "hangs":
+            threading.Event().wait()
         if error := self._error(kind):
             raise error
         return self._spoilt(frame, kind, self._last or frame)

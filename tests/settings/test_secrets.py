@@ -51,6 +51,15 @@ def test_a_credential_that_is_not_there_is_refused_with_the_remedy(
         tls(f"credential:{name}")
 
 
+def test_outside_of_a_service_it_is_the_file_that_systemd_would_hand_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "plc.key").write_text("secret")
+    monkeypatch.delenv(credential.FOLDER, raising=False)
+    monkeypatch.setattr(credential, "STORE", tmp_path)
+    assert tls("credential:plc.key").key == tmp_path / "plc.key"
+
+
 @pytest.fixture
 def copied(tmp_path: Path) -> Path:
     """A settings file, its calibration and a key, all kept from others."""
