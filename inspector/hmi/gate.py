@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from firmware_bridge import whole_file
-from inspector.publish.console import EVERY_ADDRESS
+from inspector.publish.address import EVERYWHERE
 
 LOCAL_NAMES = ("localhost", "127.0.0.1", "::1")
 WRONG_TRIES, LOCKED_S = 5, 30.0
@@ -42,7 +42,7 @@ class Gate:
     def __init__(
         self, names: Iterable[str], password_file: Path | None, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self._names = {*LOCAL_NAMES, *(name.lower() for name in names)} - set(EVERY_ADDRESS)
+        self._names = {*LOCAL_NAMES, *(name.lower() for name in names)} - set(EVERYWHERE)
         self.token = secrets.token_urlsafe(24)
         self.password_file, self._clock = password_file, clock
         self._lock, self._wrong, self._locked_until_s = threading.Lock(), 0, 0.0

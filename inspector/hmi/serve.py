@@ -21,7 +21,7 @@ from inspector.hmi.page import Page
 from inspector.hmi.server import PageServer
 from inspector.hmi.station import StationLink
 from inspector.page_settings import PageSettings
-from inspector.publish.console import EVERY_ADDRESS
+from inspector.publish.address import EVERYWHERE
 from inspector.publish.systemd import Notifier
 from inspector.settings import Settings, SettingsError, load
 
@@ -81,7 +81,7 @@ def _serve(config: Path, settings: Settings, page: PageSettings, words: texts.Te
 def _link(settings: Settings, page: PageSettings) -> StationLink:
     """The connection to the station's registers, not yet opened."""
     plc = settings.plc
-    here = ("::1" if ":" in plc.host else "127.0.0.1") if plc.host in EVERY_ADDRESS else plc.host
+    here = ("::1" if ":" in plc.host else "127.0.0.1") if plc.host in EVERYWHERE else plc.host
     host, port = page.station_host or here, page.station_port or plc.port
     master = factory.build_plc_master(host, port, plc.unit_ids[0], STATION_DEADLINE_S, device="station")
     return StationLink(master, f"{host}:{port}", plc.word_order)
