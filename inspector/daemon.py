@@ -118,6 +118,7 @@ class Daemon:
         self._cycle = Cycle(settings, devices, inspect, waiting=self._waiting, grab_timed=self._observed.grab.add)
         self._history = line_history.LineHistory(settings)
         at_end.callback(self._ledger.close)
+        self._outlets.gauges.append(self._ledger.gauges)
         self._ledger.take_over(settings)
         at_end.callback(self._history.close)
         at_end.callback(self._cycle.close)

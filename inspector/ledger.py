@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.metadata import version
 
 from firmware_bridge.wire.session import Recorded
@@ -23,7 +23,7 @@ from inspector.archive.session_frames import Inspected
 from inspector.archive.store import Run
 from inspector.archive.store_writer import StoreWriter
 from inspector.cycle import Turn
-from inspector.faults import Fault
+from inspector.metrics.observed import faults_of
 from inspector.model import Image, PanelResult, Snapshot, Verdict
 from inspector.recipe import Recipe, content_hash
 from inspector.settings import Settings
@@ -36,18 +36,6 @@ CLOSE_STORE_S, CLOSE_FRAMES_S = 1.5, 1.0
 """A stop waits so long for what is still to be written."""
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class Standing:
-    """How the archive stands: entries not yet on the disk, for how long the oldest waits, images that wait, frames and
-    entries left out since the start."""
-
-    waiting: int = 0
-    lag_s: float = 0.0
-    image_bytes: int = 0
-    frames_left_out: int = 0
-    entries_lost: int = 0
 
 
 class Ledger:
@@ -72,10 +60,9 @@ class Ledger:
             books.go_by(archive, settings, self._clock())
         self._books = books
 
-    @property
-    def standing(self) -> Standing:
-        """How the archive stands."""
-        return self._books.standing if self._books else Standing()
+    def gauges(self) -> dict[str, float]:
+        """How the archive stands, for who measures (:mod:`inspector.metrics.table`); empty without one."""
+        return self._books.gauges() if self._books else {}
 
     def took(self, turn: Turn) -> None:
         """A cycle is done: its frame is of the result that comes next, or of its panel's."""
@@ -99,14 +86,15 @@ class Ledger:
         books = self._books
         if books is None:
             return snapshot
-        self._note_faults(books, snapshot)
-        waiting = books.writer.waiting if books.degraded else 0
-        return replace(
+        degraded = books.degraded
+        marked = replace(
             snapshot,
-            store_degraded=books.degraded,
+            store_degraded=degraded,
             store_damaged=books.damaged is not None,
-            store_waiting=waiting,
+            store_waiting=books.writer.waiting if degraded else 0,
         )
+        self._note_faults(books, marked)
+        return marked
 
     def acted(self, who: str, what: str, detail: str = "") -> None:
         """Somebody did something to the station."""
@@ -139,8 +127,7 @@ class Ledger:
             log.warning("stopped with %d frames that were not written", left_out)
 
     def _note_faults(self, books: _Books, snapshot: Snapshot) -> None:
-        codes = {int(snapshot.fault_code)} if snapshot.fault_code else set[int]()
-        codes |= {int(fault) for fault, lasts in _lasting(snapshot, books).items() if lasts}
+        codes = {int(fault) for fault in faults_of(snapshot)}
         if codes == self._faults.keys():
             return
         now_s = self._clock()
@@ -175,10 +162,15 @@ class _Books:
         """Where a damaged store was put, until somebody has seen it."""
         return self.writer.set_aside if self.writer.set_aside != self.seen else None
 
-    @property
-    def standing(self) -> Standing:
-        writer, recorder = self.writer, self.recorder
-        return Standing(writer.waiting, writer.lag_s(), recorder.waiting_bytes, recorder.left_out, writer.lost)
+    def gauges(self) -> dict[str, float]:
+        """By the names of the table of metrics."""
+        return {
+            "inspector_store_waiting_entries": self.writer.waiting,
+            "inspector_store_lag_seconds": self.writer.lag_s(),
+            "inspector_store_lost_entries_total": self.writer.lost,
+            "inspector_archive_image_bytes": self.recorder.waiting_bytes,
+            "inspector_archive_left_out_frames_total": self.recorder.left_out,
+        }
 
     def go_by(self, archive: ArchiveSettings, settings: Settings, now_s: float) -> None:
         """What comes is found by these settings: they are kept, whole."""
@@ -250,13 +242,3 @@ def _of(held: list[Taken], panel: PanelResult | None) -> tuple[list[Taken], list
             taken.append(replace(part, travel_mm=travel_mm))
             after = number + 1
     return taken, held[after:]
-
-
-def _lasting(snapshot: Snapshot, books: _Books) -> dict[Fault, bool]:
-    """Faults that leave the result's own code alone, and whether each lasts."""
-    return {
-        Fault.SETTINGS_REFUSED: snapshot.settings_refused,
-        Fault.LAMP_WEAK: snapshot.lamp_weak,
-        Fault.STORE_DEGRADED: books.degraded,
-        Fault.STORE_DAMAGED: books.damaged is not None,
-    }

@@ -53,7 +53,12 @@ class Levels:
 
 def faults_of(shown: Snapshot) -> frozenset[Fault]:
     """The faults that a snapshot shows: the one with the code, and those that go beside inspection."""
-    beside = {Fault.LAMP_WEAK: shown.lamp_weak, Fault.SETTINGS_REFUSED: shown.settings_refused}
+    beside = {
+        Fault.LAMP_WEAK: shown.lamp_weak,
+        Fault.SETTINGS_REFUSED: shown.settings_refused,
+        Fault.STORE_DEGRADED: shown.store_degraded,
+        Fault.STORE_DAMAGED: shown.store_damaged,
+    }
     codes = {shown.fault_code, *(fault for fault, lasts in beside.items() if lasts)}
     return frozenset(fault for fault in Fault if fault and fault in codes)
 

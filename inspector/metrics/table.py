@@ -278,6 +278,19 @@ LINE = (
        _statistic(lambda t: t.action)),
 )  # fmt: skip
 
+ARCHIVE = (
+    _M("inspector_store_waiting_entries", "gauge", "Archive", "Entries not yet in the results' store",
+       _offered("inspector_store_waiting_entries")),
+    _M("inspector_store_lag_seconds", "gauge", "Archive", "For how long the oldest of them has waited",
+       _offered("inspector_store_lag_seconds")),
+    _M("inspector_store_lost_entries_total", "counter", "Archive", "Entries that no room was left for",
+       _offered("inspector_store_lost_entries_total")),
+    _M("inspector_archive_image_bytes", "gauge", "Archive", "Images that wait for the disk",
+       _offered("inspector_archive_image_bytes")),
+    _M("inspector_archive_left_out_frames_total", "counter", "Archive", "Frames that the disk was too full or slow for",
+       _offered("inspector_archive_left_out_frames_total")),
+)  # fmt: skip
+
 PROCESS = (
     _M("process_resident_memory_bytes", "gauge", "Process", "Memory that it has", _process(lambda p: p.resident_bytes)),
     _M("process_open_fds", "gauge", "Process", "Open descriptors", _process(lambda p: p.open_fds)),
@@ -287,7 +300,7 @@ PROCESS = (
        query="time() - process_start_time_seconds"),
 )  # fmt: skip
 
-METRICS = STATION + RESULTS + CYCLE + FAULTS + DEVICE + PLC + LINE + PROCESS
+METRICS = STATION + RESULTS + CYCLE + FAULTS + DEVICE + PLC + LINE + ARCHIVE + PROCESS
 
 
 def names() -> set[str]:

@@ -19,9 +19,12 @@ from inspector.archive import result_json
 from inspector.archive.session_frames import inspected, version_file
 from inspector.archive.store import FILE
 from inspector.handshake_table import Control
+from inspector.ledger import Ledger
+from inspector.metrics.table import ARCHIVE
 from inspector.model import Frame
 from inspector.pipeline import Station, inspect
 from inspector.publish.registers import CONTROL_ADDRESS, Status
+from inspector.settings import load
 from inspector.settings_version import from_json
 
 
@@ -134,6 +137,14 @@ def test_a_damaged_store_is_set_aside_and_the_plc_is_told_until_it_clears(
     assert aside.read_bytes() == b"this was a store once" * 1000
     assert sequences(archive)
     assert read(archive, "SELECT what FROM action") == [("CLEAR_FAULT",)]
+
+
+def test_the_archive_offers_what_the_table_of_metrics_names(station: Any, archive: Path) -> None:
+    ledger = Ledger()
+    assert ledger.gauges() == {}
+    ledger.take_over(load(station.file))
+    assert set(ledger.gauges()) == {metric.name for metric in ARCHIVE}
+    ledger.close()
 
 
 def test_a_panel_of_several_frames_is_kept_as_one(

@@ -14,7 +14,7 @@ from inspector.metrics import process
 from inspector.metrics.observed import Levels, Observed
 from inspector.metrics.server import MetricsServer
 from inspector.metrics.settings import MetricsSettings
-from inspector.metrics.table import Scrape
+from inspector.metrics.table import ARCHIVE, Scrape
 from inspector.model import PlcSide, Snapshot, State
 from inspector.publish.outbox import Outbox
 from inspector.publish.plc_server import PlcServer
@@ -45,7 +45,8 @@ def scrape() -> Scrape:
     observed.grab.add(0.012)
     observed.module_request.add(0.003)
     plc = replace(PlcServer().diagnostics, connected=2, requests=100, exceptions={1: 3, 2: 4}, stalls=1)
-    box, offered = Outbox(8, False, STATION, lost=3), {"inspector_log_lines_lost_total": 1}
+    box = Outbox(8, False, STATION, lost=3)
+    offered = {"inspector_log_lines_lost_total": 1.0} | {metric.name: 1.0 for metric in ARCHIVE}
     return Scrape(STATION, observed, plc, 7.5, 1.8e9, "line 4", "1.2.3", 0.02, box, process.now(), offered)
 
 
