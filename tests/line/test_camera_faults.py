@@ -45,6 +45,12 @@ ELSEWHERE = {
         "line/test_last_good.py::test_over_the_wire_settings_that_fail_are_taken_back"
     ),
     "the settings are refused at a start": "line/test_last_good.py::test_a_refused_file_begins_with_the_last_good",
+    "the disk is full, read-only, gone or too slow for the results": (
+        "line/test_archive_service.py::test_without_its_disk_the_line_goes_on_and_nothing_is_lost"
+    ),
+    "the results' store is damaged, or was taken away": (
+        "line/test_archive_service.py::test_a_damaged_store_is_set_aside_and_the_plc_is_told"
+    ),
     "new settings are refused at a reload": "line/test_service.py::test_reload_takes_a_right_file_whole_and_a_wrong",
 }
 """Rows that other tests meet, by file and the beginning of the name. The module's are in test_faults_at_the_wire.py."""
