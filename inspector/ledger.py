@@ -51,6 +51,7 @@ class Ledger:
     def take_over(self, settings: Settings) -> None:
         """Keep things by these settings from now on; before the first of them, nothing is kept."""
         archive, books = settings.archive, self._books
+        self._held = []  # of a panel that has ended with the settings before
         if books is not None and (archive is None or archive.folder != books.settings.folder):
             self._close_books(books)
             books = None

@@ -18,7 +18,8 @@ class KeptFrames(Strict):
     passing_every: PositiveInt | None = 100
     """Keep the frames of one PASS of so many; null: of none."""
     last: int = Field(100, ge=0, le=10_000)
-    """Keep the last frames, so many, whatever they say; 0: none."""
+    """Keep the last frames, so many, whatever they say; 0: none. Each frame is then written to the disk, at 20 a second
+    some 150 GB a day: choose 0 for flash memory that is to last."""
     days: PositiveFloat = Field(30.0, le=10_000)
     """Keep them for so many days."""
     most_mb: PositiveFloat = 10_000.0
