@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from inspector.cli_archive import archive_app
 from inspector.cli_health import health
 from inspector.cli_page import page
 from inspector.cli_recipes import recipe_app
@@ -28,6 +29,7 @@ app.add_typer(io_app, name="io")
 lamp_app = typer.Typer(help="The lamp: its curve.", no_args_is_help=True)
 app.add_typer(lamp_app, name="lamp")
 app.add_typer(recipe_app, name="recipe")
+app.add_typer(archive_app, name="archive")
 app.add_typer(sessions_app)
 app.command()(page)
 simulate_app = typer.Typer(help="Simulated devices, to try PLC and settings without hardware.", no_args_is_help=True)

@@ -11,11 +11,12 @@ import os
 import sqlite3
 import time
 from collections.abc import Iterable, Sequence
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from firmware_bridge import whole_file
+from inspector.archive import store_copy
 from inspector.archive.entries import Entry, Rows
 from inspector.archive.schema import OLDEST_WRITER, RUN_BITS, STEPS
 
@@ -209,7 +210,7 @@ def _bring_up_to_date(connection: sqlite3.Connection, path: Path, steps: Sequenc
         _check_writable(connection, path, len(steps))
         return
     if 0 < version < len(steps):
-        _back_up(connection, path.with_name(f"results.version-{version}.sqlite"))
+        store_copy.write(connection, path.with_name(f"results.version-{version}.sqlite"))
     for number, step in enumerate(steps[version:], version + 1):
         oldest = f"INSERT OR REPLACE INTO about VALUES ('oldest_writer', '{OLDEST_WRITER}')"
         script = f"BEGIN IMMEDIATE; {step}; {oldest}; PRAGMA user_version = {number}; COMMIT;"
@@ -223,18 +224,6 @@ def _check_writable(connection: sqlite3.Connection, path: Path, version: int) ->
     said = connection.execute("SELECT value FROM about WHERE key = 'oldest_writer'").fetchone()
     if said is None or int(said[0]) > version:
         raise StoreDamaged(f"{path} is a newer program's, and cannot be gone on with by this one")
-
-
-def _back_up(connection: sqlite3.Connection, backup: Path) -> None:
-    """A copy of the store beside it, whole or not at all. Raises sqlite3.Error, OSError."""
-    part = backup.with_name(f".{backup.name}.part")
-    part.unlink(missing_ok=True)
-    with closing(sqlite3.connect(part)) as copy:
-        connection.backup(copy)
-    with part.open("rb") as file:
-        os.fsync(file.fileno())
-    part.replace(backup)
-    whole_file.settle(backup.parent)
 
 
 _REFUSALS = (sqlite3.ProgrammingError, sqlite3.IntegrityError, sqlite3.InterfaceError, sqlite3.DataError)
