@@ -50,6 +50,6 @@ print(*sorted(needed), answer.hex(), sep="\\n")
 def test_nothing_heavy_is_imported_before_a_register_is_answered(file: str) -> None:
     command = [sys.executable, "-c", START, str(CONFIG / file)]
     said = subprocess.run(command, stdout=subprocess.PIPE, text=True, timeout=60, check=True).stdout.split()
-    assert said[-1] == "0001000000050103020000"
+    assert said[-1][:18] == "000100000005010302"  # then the sequence, which goes on after a demo
     assert "inspector.publish.plc_server" in said
     assert not (HEAVY | LATER) & set(said)
