@@ -37,7 +37,6 @@ def project_files() -> list[Path]:
 
 FILES = project_files()
 SOURCES = [p for p in FILES if p.suffix == ".py"]
-TREES = {path: ast.parse(path.read_text()) for path in SOURCES}
 
 
 def short(path: Path) -> str:
@@ -56,9 +55,9 @@ def lines_with(pattern: str, files: list[Path]) -> list[str]:
 
 def functions() -> Iterator[tuple[str, int]]:
     """Every function of the two packages, and its number of lines."""
-    for path, tree in TREES.items():
+    for path in SOURCES:
         if not path.is_relative_to(ROOT / "tests"):
-            for node in ast.walk(tree):
+            for node in ast.walk(ast.parse(path.read_text())):
                 if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                     assert node.end_lineno is not None
                     yield f"{short(path)}:{node.lineno} {node.name}", node.end_lineno - node.lineno + 1
@@ -78,9 +77,10 @@ def models() -> list[type[BaseModel]]:
     return [m for m in below(BaseModel) if m.__module__.startswith(("inspector.", "firmware_bridge."))]
 
 
-@pytest.mark.parametrize("model", models(), ids=lambda m: f"{m.__module__}.{m.__name__}")
-def test_every_setting_says_what_it_is(model: type[BaseModel]) -> None:
-    assert model.model_fields.keys() <= attribute_docstrings(model).keys()
+def test_every_setting_says_what_it_is() -> None:
+    said = {f"{m.__module__}.{m.__name__}": m.model_fields.keys() - attribute_docstrings(m).keys() for m in models()}
+    assert "inspector.settings.Settings" in said
+    assert not {name: unsaid for name, unsaid in said.items() if unsaid}
 
 
 @pytest.mark.parametrize("fault", list(Fault)[1:], ids=lambda f: f.name)
@@ -91,8 +91,9 @@ def test_every_fault_has_a_meaning_and_a_remedy(fault: Fault) -> None:
 
 def test_files_and_functions_stay_small() -> None:
     assert not [short(path) for path in SOURCES if len(path.read_text().splitlines()) > 450]
-    assert not [name for name, length in functions() if length > 60]
-    assert statistics.median(length for _, length in functions()) <= 15
+    lengths = dict(functions())
+    assert not [name for name, length in lengths.items() if length > 60]
+    assert statistics.median(lengths.values()) <= 15
 
 
 def test_no_test_sleeps() -> None:

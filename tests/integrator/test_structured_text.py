@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper_line import PaperLine
-from structured_text import Declared, Program
+from structured_text import Declared, Program, parsed
 
 from inspector.dialogues import Obeys
 from inspector.handshake_table import Answer, Command, CommandResult
@@ -20,8 +20,6 @@ from inspector.model import Defect, Verdict
 from inspector.publish import registers
 from inspector.publish.wire_fields import WordOrder
 
-pytestmark = pytest.mark.xdist_group("structured_text")
-"""Parsing the block takes half a minute: one worker does it once."""
 CALL_S = 0.01
 SOURCE = function_block()
 
@@ -238,3 +236,14 @@ def test_the_block_decodes_as_the_register_table_does(
 def test_nothing_is_used_that_is_not_declared() -> None:
     with pytest.raises(NameError, match="bNewResult"):
         Declared(bPass=False).bNewResult = True
+
+
+@pytest.mark.long
+def test_a_parser_of_the_whole_standard_reads_the_same_units() -> None:
+    """A quarter of a minute of processor time: Earley's algorithm, over all of IEC 61131-3."""
+    from blark.parse import parse_source_code
+
+    read = parse_source_code(SOURCE)
+    assert read.exception is None
+    names = [str(getattr(item, "name", None) or item.declaration.name) for item in read.transform().items]
+    assert names == list(parsed(SOURCE))

@@ -1,21 +1,20 @@
-"""Carries IEC 61131-3 structured text out, as far as the integrator's block needs it: parsed by blark, made Python.
+"""Carries IEC 61131-3 structured text out, as far as the integrator's block needs it: parsed by lark, made Python.
 
 Integers are Python's, of any size; a name that is not declared raises. Time moves only as the test says.
 """
 
 from __future__ import annotations
 
-import gc
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
-from types import SimpleNamespace
+from pathlib import Path
+from types import CodeType, SimpleNamespace
 from typing import Any
 
-from blark import transform as st
-from blark.parse import parse_source_code
+from lark import Lark, Transformer, v_args
 
-OPERATORS = {"=": "==", "<>": "!=", "AND": "&", "OR": "|", "MOD": "%", "/": "/"}
+GRAMMAR = Path(__file__).with_suffix(".lark")
 
 
 class Ton:
@@ -43,77 +42,137 @@ def _conversions() -> dict[str, Callable[[Any], Any]]:
     return made
 
 
-def _text(node: Any) -> str:
-    """An expression in Python."""
-    match node:
-        case st.BinaryOperation():
-            left, right, operator = _text(node.left), _text(node.right), str(node.op).upper()
-            if operator == "/":
-                return f"_divided({left}, {right})"
-            return f"({left} {OPERATORS.get(operator, operator)} {right})"
-        case st.UnaryOperation():
-            return f"(not {_text(node.expr)})" if str(node.op).upper() == "NOT" else f"({node.op}{_text(node.expr)})"
-        case st.ParenthesizedExpression():
-            return f"({_text(node.expr)})"
-        case st.FunctionCall():
-            return f"_call['{node.name}']({_arguments(node.parameters)})"
-        case st.SimpleVariable():
-            return f"v.{node.name}"
-        case st.MultiElementVariable():
-            return _text(node.name) + "".join(_element(each) for each in node.elements)
-        case st.Boolean():
-            return str(str(node.value).upper() == "TRUE")
-        case st.Integer() | st.Real():
-            return _literal(str(node))
-    raise TypeError(f"{type(node).__name__}: {node}")
+@dataclass(frozen=True)
+class Array:
+    """The type ARRAY[first..last] OF each."""
+
+    first: int
+    last: int
+    each: str
 
 
-def _element(node: Any) -> str:
-    if isinstance(node, st.FieldSelector):
-        return f".{node.field.name}"
-    return "".join(f"[{_text(each)}]" for each in node.subscripts)
+@dataclass(frozen=True)
+class Variable:
+    """A declaration; ``first`` is its first value in Python, None where it is the type's own."""
+
+    name: str
+    kind: str | Array
+    first: str | None
 
 
-def _arguments(parameters: Any) -> str:
-    return ", ".join(f"{p.name.name}={_text(p.value)}" if p.name else _text(p.value) for p in parameters)
+@dataclass(frozen=True)
+class Unit:
+    """A structure, function or block by what it declares; ``code`` makes ``body(v)``, None of a structure."""
+
+    name: str
+    variables: tuple[Variable, ...]
+    code: CodeType | None = None
+    is_function: bool = False
 
 
-def _literal(text: str) -> str:
-    if duration := re.fullmatch(r"(?:TIME|T)#([\d.]+)(ms|s)", text, re.IGNORECASE):
-        return str(float(duration[1]) * (0.001 if duration[2].lower() == "ms" else 1.0))
-    number = re.sub(r"^[A-Z]+#", "", text)
-    return f"0x{number[3:]}" if number.startswith("16#") else number.capitalize()
+def _binary(sign: str) -> Callable[..., str]:
+    return lambda self, left, right: f"({left} {sign} {right})"
 
 
-def _lines(statements: Any, indent: str) -> list[str]:
-    made = [line for each in (statements.statements if statements else []) for line in _statement(each, indent)]
-    return made or [f"{indent}pass"]
+def _inner(lines: list[str]) -> list[str]:
+    return [f"    {line}" for line in lines or ["pass"]]
 
 
-def _statement(node: Any, indent: str) -> list[str]:
-    inner = indent + "    "
-    match node:
-        case st.AssignmentStatement():
-            # A structure is assigned by value.
-            return [f"{indent}{_text(name)} = _copy({_text(node.expression)})" for name in node.variables]
-        case st.FunctionCallStatement():
-            return [f"{indent}{_text(node.name)}({_arguments(node.parameters)})"]
-        case st.ReturnStatement():
-            return [f"{indent}return"]
-        case st.IfStatement():
-            lines = [f"{indent}if {_text(node.if_expression)}:", *_lines(node.statements, inner)]
-            for clause in node.else_ifs:
-                lines += [f"{indent}elif {_text(clause.if_expression)}:", *_lines(clause.statements, inner)]
-            if node.else_clause:
-                lines += [f"{indent}else:", *_lines(node.else_clause.statements, inner)]
-            return lines
-        case st.CaseStatement():
-            lines = [f"{indent}_case = {_text(node.expression)}"]
-            for nth, case in enumerate(node.cases):
-                matches = ", ".join(_text(match) for match in case.matches)
-                lines += [f"{indent}{'elif' if nth else 'if'} _case in ({matches},):", *_lines(case.statements, inner)]
-            return lines
-    raise TypeError(f"{type(node).__name__}: {node}")
+@v_args(inline=True)
+class _Python(Transformer[Any, Any]):
+    """Expressions become text, statements lists of lines, and what is declared a unit by its name."""
+
+    or_, and_, eq, ne, gt, lt = map(_binary, ("|", "&", "==", "!=", ">", "<"))
+    ge, le, add, sub, mul, mod = map(_binary, (">=", "<=", "+", "-", "*", "%"))
+
+    def div(self, left: str, right: str) -> str:
+        return f"_divided({left}, {right})"
+
+    def not_(self, value: str) -> str:
+        return f"(not {value})"
+
+    def neg(self, value: str) -> str:
+        return f"(-{value})"
+
+    def true(self) -> str:
+        return "True"
+
+    def false(self) -> str:
+        return "False"
+
+    def literal(self, text: str) -> str:
+        base, _, value = text.rpartition("#")
+        if base == "16":
+            return f"0x{value}"
+        return str(float(value[:-2]) / 1000 if value.endswith("ms") else float(value[:-1])) if base else value
+
+    def variable(self, name: str) -> str:
+        return f"v.{name}"
+
+    def member(self, whole: str, name: str) -> str:
+        return f"{whole}.{name}"
+
+    def element(self, whole: str, index: str) -> str:
+        return f"{whole}[{index}]"
+
+    def named(self, name: str, value: str) -> str:
+        return f"{name}={value}"
+
+    def call(self, name: str, *arguments: str | None) -> str:
+        return f"_call['{name}']({', '.join(filter(None, arguments))})"
+
+    def do(self, name: str, *arguments: str | None) -> list[str]:
+        return [f"v.{name}({', '.join(filter(None, arguments))})"]
+
+    def assign(self, variable: str, value: str) -> list[str]:
+        return [f"{variable} = _copy({value})"]  # a structure is assigned by value
+
+    def leave(self) -> list[str]:
+        return ["return"]
+
+    def body(self, *statements: list[str]) -> list[str]:
+        return [line for statement in statements for line in statement]
+
+    def branch(self, condition: str, lines: list[str]) -> list[str]:
+        return [f"if {condition}:", *_inner(lines)]
+
+    def choice(self, first: list[str], *others: list[str] | None) -> list[str]:
+        *more, last = others
+        lines = [*first, *(line for head, *rest in filter(None, more) for line in (f"el{head}", *rest))]
+        return lines if last is None else [*lines, "else:", *_inner(last)]
+
+    def cases(self, value: str, *cases: Any) -> list[str]:
+        lines = [f"_case = {value}"]
+        for label, body in zip(cases[::2], cases[1::2], strict=True):
+            lines += [f"{'if' if len(lines) == 1 else 'elif'} _case == {label}:", *_inner(body)]
+        return lines
+
+    def array(self, first: str, last: str, each: str) -> Array:
+        return Array(int(first), int(last), each)
+
+    def declaration(self, name: str, kind: str | Array, first: str | None) -> Variable:
+        return Variable(str(name), kind, first)
+
+    def section(self, *declared: Variable) -> tuple[Variable, ...]:
+        return declared
+
+    def structure(self, name: str, *members: Variable) -> Unit:
+        return Unit(str(name), members)
+
+    def function(self, name: str, kind: str, *parts: Any) -> Unit:
+        return self._unit(name, ((Variable(str(name), kind, None),), *parts), is_function=True)
+
+    def block(self, name: str, *parts: Any) -> Unit:
+        return self._unit(name, parts)
+
+    def _unit(self, name: str, parts: Any, is_function: bool = False) -> Unit:
+        *sections, lines = parts
+        source = "\n".join(["def body(v):", *_inner(lines)])
+        variables = tuple(variable for section in sections for variable in section)
+        return Unit(str(name), variables, compile(source, str(name), "exec"), is_function)
+
+    def start(self, *units: Unit) -> dict[str, Unit]:
+        return {unit.name: unit for unit in units}
 
 
 class Declared(SimpleNamespace):
@@ -126,75 +185,60 @@ class Declared(SimpleNamespace):
 
 
 @lru_cache
-def _parsed(source: str) -> dict[str, Any]:
-    """The source's types, functions and blocks by name; parsing takes seconds."""
-    gc.disable()  # nothing of a parse is rubbish before its end, and looking for it takes a third of the time
-    try:
-        parsed = parse_source_code(source)
-    finally:
-        gc.enable()
-    if parsed.exception:
-        raise parsed.exception
-    return {str(getattr(item, "name", None) or item.declaration.name): item for item in parsed.transform().items}
+def parsed(source: str) -> dict[str, Unit]:
+    """The source's structures, functions and blocks by name."""
+    return Lark(GRAMMAR.read_text(), parser="lalr", transformer=_Python()).parse(source)  # type: ignore[return-value]  # what the transformer makes of it
 
 
 class Program:
     """A source's function block, to be called; ``v`` are its variables."""
 
     def __init__(self, source: str, block: str, clock: Callable[[], float]) -> None:
-        items = _parsed(source)
-        self._clock, self._types = clock, items
+        self._clock, self._units = clock, parsed(source)
         self._call: dict[str, Callable[..., Any]] = _conversions() | {"EXPT": pow}
-        for name, item in items.items():
-            if isinstance(item, st.Function):
-                self._call[name] = self._function(name, item)
-        self.v = self._variables(items[block])
-        self._body = self._compiled(items[block])
+        self._call |= {name: self._function(unit) for name, unit in self._units.items() if unit.is_function}
+        self.v = self._variables(self._units[block])()
+        self._body = self._loaded(self._units[block])
 
     def __call__(self, **inputs: Any) -> None:
         for name, value in inputs.items():
             setattr(self.v, name, value)
         self._body(self.v)
 
-    def _function(self, name: str, item: Any) -> Callable[..., Any]:
-        body = self._compiled(item)
+    def _function(self, unit: Unit) -> Callable[..., Any]:
+        body, variables = self._loaded(unit), self._variables(unit)
 
         def call(**inputs: Any) -> Any:
-            v = self._variables(item, {name: 0})
-            for each, value in inputs.items():
-                setattr(v, each, value)
+            v = variables()
+            for name, value in inputs.items():
+                setattr(v, name, value)
             body(v)
-            return getattr(v, name)
+            return getattr(v, unit.name)
 
         return call
 
-    def _compiled(self, item: Any) -> Callable[[Any], None]:
+    def _loaded(self, unit: Unit) -> Callable[[Any], None]:
         space: dict[str, Any] = {"_call": self._call, "_divided": _divided, "_copy": _copy}
-        exec("\n".join(["def body(v):", *_lines(item.body, "    ")]), space)
+        assert unit.code is not None
+        exec(unit.code, space)
         body: Callable[[Any], None] = space["body"]
         return body
 
-    def _variables(self, item: Any, more: Mapping[str, Any] | None = None) -> Declared:
-        values = dict(more or {})
-        for section in item.declarations:
-            for declared in section.items:
-                for variable in declared.variables:
-                    values[str(getattr(variable, "name", variable))] = self._initial(str(declared.init))
-        return Declared(**values)
+    def _variables(self, unit: Unit) -> Callable[[], Declared]:
+        """Makes its variables as they are at first."""
+        makers = {variable.name: self._first(variable.kind, variable.first) for variable in unit.variables}
+        return lambda: Declared(**{name: make() for name, make in makers.items()})
 
-    def _initial(self, declared: str) -> Any:
-        """The first value of a declaration such as ``UINT := 3``."""
-        kind, _, value = (part.strip() for part in declared.partition(":="))
-        if array := re.fullmatch(r"ARRAY\s*\[(\d+)\.\.(\d+)\] OF (\w+)", kind):
-            return {i: self._initial(array[3]) for i in range(int(array[1]), int(array[2]) + 1)}
+    def _first(self, kind: str | Array, value: str | None) -> Callable[[], Any]:
+        if isinstance(kind, Array):
+            each, indices = self._first(kind.each, None), range(kind.first, kind.last + 1)
+            return lambda: {index: each() for index in indices}
         if kind == "TON":
-            return Ton(self._clock)
-        if kind in self._types:
-            members = self._types[kind].declaration.declarations
-            return Declared(**{str(m.variables[0].name): self._initial(str(m.init)) for m in members})
-        if kind == "BOOL":
-            return value.upper() == "TRUE"
-        return eval(_literal(value)) if value else 0
+            return lambda: Ton(self._clock)
+        if kind in self._units:
+            return self._variables(self._units[kind])
+        known = eval(value) if value else False if kind == "BOOL" else 0
+        return lambda: known
 
 
 def _copy(value: Any) -> Any:
