@@ -39,6 +39,7 @@ docs: $(VENV)/run.stamp  ## Write again what is generated from the code.
 	$(BIN)/inspector io profiles --format markdown > docs/modules.md
 	$(BIN)/inspector faults --format markdown > docs/faults.md
 	$(BIN)/inspector reinspect-columns > docs/reinspect.md
+	$(BIN)/inspector export-columns > docs/export.md
 	$(BIN)/python -m inspector.metrics.dashboard dashboard > deploy/prometheus/dashboard.json
 	$(BIN)/python -m inspector.metrics.dashboard markdown > docs/metrics.md
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import errno
 import os
 import secrets
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 
 def write(path: Path, content: str | bytes) -> None:
@@ -14,12 +16,20 @@ def write(path: Path, content: str | bytes) -> None:
 
     Raises OSError, and then ``path`` is as it was: also where it is a device or a folder, which nothing may replace.
     """
+    with writing(path) as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[BinaryIO]:
+    """As :func:`write`, with the file to write into, for what is too large to be made first. Whatever is raised while
+    it is written leaves ``path`` as it was."""
     if path.exists() and not path.is_file():
         raise FileExistsError(errno.EEXIST, "is no ordinary file: name another", str(path))
     beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
     try:
         with beside.open("xb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
+            yield file
             file.flush()
             os.fsync(file.fileno())
         with suppress(FileNotFoundError):

@@ -13,6 +13,7 @@ from inspector.cli_archive import archive_app
 from inspector.cli_health import health
 from inspector.cli_page import page
 from inspector.cli_recipes import recipe_app
+from inspector.cli_reports import reports_app
 from inspector.cli_sessions import Method, sessions_app
 
 app = typer.Typer(
@@ -31,6 +32,7 @@ app.add_typer(lamp_app, name="lamp")
 app.add_typer(recipe_app, name="recipe")
 app.add_typer(archive_app, name="archive")
 app.add_typer(sessions_app)
+app.add_typer(reports_app)
 app.command()(page)
 simulate_app = typer.Typer(help="Simulated devices, to try PLC and settings without hardware.", no_args_is_help=True)
 app.add_typer(simulate_app, name="simulate-device")

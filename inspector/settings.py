@@ -56,6 +56,11 @@ def _or_folder(schema: dict[str, Any]) -> None:
     schema["anyOf"] = [in_place, {"type": "string", "description": "Folder with a YAML file for each recipe"}]
 
 
+ShiftTimes = Annotated[str, Field(pattern=r"^([01]\d|2[0-3]):[0-5]\d-([01]\d|2[0-3]):[0-5]\d$")]
+Shifts = dict[Annotated[str, Field(pattern=r"^[^/]+$")], ShiftTimes]
+"""Shifts by name; one that ends no later than it begins ends on the next day."""
+
+
 class Settings(Strict):
     """A station. Paths in the file are relative to the file; those here are ready for use."""
 
@@ -99,6 +104,8 @@ class Settings(Strict):
     they begin anew with each."""
     archive: ArchiveSettings | None = None
     """Where results and frames are kept; null: nowhere."""
+    shifts: Shifts = Field({})
+    """Names of the plant's shifts and their times of day, such as early: 06:00-14:00; for reports."""
 
     def under(self, folder: Path) -> Settings:
         """The same settings with relative paths taken from ``folder``; files that keep something over restarts and are
@@ -131,6 +138,25 @@ class Settings(Strict):
                 "archive": self.archive and self.archive.under(folder),
             },
         )
+
+
+class RecordSettings(Strict):
+    """The part of a station's settings that reading its archive needs; the rest may be wrong meanwhile."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    archive: ArchiveSettings | None = None
+    """Where results and frames are kept; null: nowhere."""
+    shifts: Shifts = Field({})
+    """Names of the plant's shifts and their times of day."""
+
+
+def load_records(path: Path) -> RecordSettings:
+    """Archive and shifts of a settings file, whatever else it says. Raises SettingsError with their problems."""
+    records, problems = yaml_document.validate(yaml_document.read(path), RecordSettings)
+    if records is None or problems:
+        raise SettingsError(problems)
+    return records.model_copy(update={"archive": records.archive and records.archive.under(path.parent)})
 
 
 class DeviceSettings(Strict):
@@ -207,6 +233,7 @@ def configuration_hash(settings: Settings) -> int:
             "recipe_choice_file": True,
             "statistics_file": True,
             "archive": True,
+            "shifts": True,
         }
     )
     text = json.dumps(values, sort_keys=True, default=lambda path: os.path.relpath(path, folder)).encode()

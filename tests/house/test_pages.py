@@ -9,6 +9,7 @@ import pytest
 from firmware_bridge.wire import profiles_page
 from firmware_bridge.wire.profiles import PROFILES
 from inspector import fault_table, reinspect_tables
+from inspector.archive_reading import columns
 from inspector.faults import Fault
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -18,6 +19,7 @@ DOCS = Path(__file__).parents[2] / "docs"
     ("modules.md", profiles_page.markdown),
     ("faults.md", fault_table.as_markdown),
     ("reinspect.md", reinspect_tables.as_markdown),
+    ("export.md", columns.as_markdown),
 ])  # fmt: skip
 def test_the_committed_page_is_current(name: str, made: object) -> None:
     assert (DOCS / name).read_text() == made(), "run: make docs"

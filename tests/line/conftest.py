@@ -16,13 +16,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 import yaml
 
 from firmware_bridge.simulators.module_server import ModuleServer
 from firmware_bridge.simulators.module_state import SimulatedModule
 from firmware_bridge.wire.profiles import PROFILES
-from inspector.publish.registers import RESULT_ADDRESS, RESULT_WORDS, decode
+from inspector.publish.registers import RESULT_ADDRESS, RESULT_WORDS, Status, decode
 
 CONFIG = Path(__file__).parents[2] / "config"
 PROFILE = "tm-da1p1r1"
@@ -237,3 +239,38 @@ def service(station: Station, wait_until: Callable[..., Any]) -> Iterator[Callab
             return started
 
         yield start
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory, wait_until: Callable[..., Any]) -> tuple[Station, dict[int, Any]]:
+    """A station that has inspected a while and stopped, with its archive; and registers as they were shown, by
+    sequence. One of its three frames is black; its settings were refused for a time."""
+    station = Station(tmp_path_factory.mktemp("kept"))
+    (station.frames / "F000.png").write_bytes(cv2.imencode(".png", np.zeros((480, 640), np.uint8))[1].tobytes())
+    station.settings |= {
+        "module": {"profile": PROFILE, "link": {"kind": "simulated"}},
+        "archive": {"folder": "archive", "frames": {"min_free_mb": 0}},
+        "shifts": {"round the clock": "00:00-00:00"},
+    }
+    station.settings["recipe"]["name"] = "black gloss"
+    station.write()
+    service, shown = Service(station.file, wait_until, []), {}
+
+    def until(condition: Callable[[dict[str, Any]], Any], what: str) -> None:
+        def met(registers: dict[str, Any]) -> Any:
+            shown[registers["sequence_u32"]] = dict(registers)
+            return condition(registers)
+
+        service.until(met, what)
+
+    with contextlib.closing(service):
+        until(lambda r: r["sequence"] > 6, "results")
+        station.file.write_text("nonsense")
+        service.send(signal.SIGHUP)
+        until(lambda r: r["status"] & Status.SETTINGS_REFUSED, "settings refused")
+        station.write()
+        service.send(signal.SIGHUP)
+        until(lambda r: not r["status"] & Status.SETTINGS_REFUSED, "settings taken")
+        service.send(signal.SIGTERM)
+        assert service.ended() == 0
+    return station, shown
