@@ -23,8 +23,9 @@ lint: setup  ## Style, types and import rules.
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-soak: setup  ## Pass the tests that take minutes: long runs, with devices that come and go.
+soak: setup  ## Pass the tests that take minutes: long runs, with devices that come and go; random examples, and more.
 	$(BIN)/pytest -m long $(PYTEST_ARGS)
+	$(BIN)/pytest -n auto --dist loadgroup --hypothesis-profile search
 	FAULT_SEQUENCES=10000 RANDOM_STREAMS=200000 $(BIN)/pytest tests/bridge/test_fault_sequences.py \
 	  tests/line/test_capture_path.py tests/bridge/test_random_streams.py tests/bridge/test_random_camera_streams.py
 	CROWD_REQUESTS=100000 FUZZ_BYTES=10000000 $(BIN)/pytest tests/publish/test_plc_foreign_crowd.py \

@@ -23,6 +23,7 @@ def settings_file(folder: Path, **changed: Any) -> tuple[Path, int]:
     settings = yaml.safe_load((ROOT / "config" / "demo.yaml").read_text())
     settings["calibration"] = str(ROOT / "config" / settings["calibration"])
     settings["camera"]["paths"] = [str(ROOT / "config" / "frames")]
+    settings["archive"]["folder"] = str(folder / "archive")
     port = free_port()
     settings["plc"]["port"] = port
     file = folder / f"{port}.yaml"

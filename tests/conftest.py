@@ -20,9 +20,10 @@ from hypothesis import settings
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
-# The same examples in every run: a measurement's tolerance is met or not. `--hypothesis-profile search` looks further.
-settings.register_profile("repeatable", derandomize=True, deadline=None)
-settings.register_profile("search", deadline=None)
+# The same examples in every run, so more of them would show the same again and again: a measurement's tolerance is met
+# or not. `--hypothesis-profile search` looks further, each time elsewhere (make soak).
+settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=40)
+settings.register_profile("search", deadline=None, max_examples=200)
 settings.load_profile("repeatable")
 
 DATA = Path(__file__).parent / "data"

@@ -19,6 +19,8 @@ from inspector.lab.scene import THESIS_CAMERA, Lamp, Paint, Scene, Seed, mirrore
 from inspector.lab.trace import Tracer, fresnel
 from inspector.model import FloatArray
 
+pytestmark = pytest.mark.xdist_group("renderer")
+"""A scene takes a second to render: one worker does it once."""
 DATA = Path(__file__).parents[1] / "data"
 REFERENCE = json.loads((DATA / "lab" / "reference_scenes.json").read_text())
 SMALL = Seed(75.0, 50.0, 0.9, 0.9)
@@ -47,15 +49,15 @@ def centroid(light: FloatArray, at_px: list[float]) -> FloatArray:
 
 
 @pytest.fixture(scope="module", params=list(REFERENCE))
-def reference(request: pytest.FixtureRequest) -> tuple[str, Scene, FloatArray, list[dict[str, Any]]]:
-    """Name, scene, irradiance, and the spots as the other renderer's truth has them."""
+def reference(request: pytest.FixtureRequest) -> tuple[str, FloatArray, list[Any], list[dict[str, Any]]]:
+    """Name, frame without noise, its spots by our truth, and as the other renderer's truth has them."""
     scene = records.read(REFERENCE[request.param]["scene"])
-    return request.param, scene, irradiance(scene), REFERENCE[request.param]["spots"]
+    drawn_dn = noise_free_dn(irradiance(scene), scene.sensor)
+    return request.param, drawn_dn, truth.of(scene, drawn_dn)["defects"], REFERENCE[request.param]["spots"]
 
 
 def test_spots_lie_where_the_other_renderers_truth_has_them(reference: Any) -> None:
-    _, scene, light, spots = reference
-    found = truth.of(scene, noise_free_dn(light, scene.sensor))["defects"]
+    _, _, found, spots = reference
     for ours, theirs in zip(found, spots, strict=True):
         assert ours["direct_px"] == pytest.approx(theirs["direct_px"], abs=1e-6)
         assert ours["mirror_px"] == pytest.approx(theirs["mirror_px"], abs=1e-6)
@@ -67,8 +69,7 @@ def test_spots_lie_where_the_other_renderers_truth_has_them(reference: Any) -> N
 
 def test_spots_are_as_bright_as_the_other_renderers(reference: Any) -> None:
     """To the tenth that its rule of thumb for Fresnel's formula is off by, and more where a pool's spot adds to one."""
-    name, scene, light, spots = reference
-    found = truth.of(scene, noise_free_dn(light, scene.sensor))["defects"]
+    name, _, found, spots = reference
     for ours, theirs in zip(found, spots, strict=True):
         for peak in ("direct_peak_dn_unclipped", "mirror_peak_dn_unclipped"):
             assert ours[peak] == pytest.approx(theirs[peak], rel=0.15 if name == "paint_pool" else 0.1)
@@ -76,13 +77,13 @@ def test_spots_are_as_bright_as_the_other_renderers(reference: Any) -> None:
 
 def test_mirror_spots_look_as_the_other_renderer_shows_them(reference: Any) -> None:
     """Scaled to its brightness, what remains of the difference is the frame's own noise."""
-    name, scene, light, spots = reference
+    name, drawn_dn, _, spots = reference
     frame = cv2.imread(str(DATA / "frames" / f"{name}.png"), cv2.IMREAD_GRAYSCALE)
     for spot in spots:
         if spot["mirror_peak_dn_unclipped"] > 250:
             continue
         seen = patch(frame, spot["mirror_px"], 2).ravel()
-        drawn = patch(noise_free_dn(light, scene.sensor), spot["mirror_px"], 2).ravel()
+        drawn = patch(drawn_dn, spot["mirror_px"], 2).ravel()
         fit = np.column_stack([drawn, np.ones(len(drawn))])
         left = seen - fit @ np.linalg.lstsq(fit, seen, rcond=None)[0]
         assert np.sqrt(np.mean(left**2)) < 0.03 * seen.max()

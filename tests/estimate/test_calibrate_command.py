@@ -28,6 +28,13 @@ def run(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=60)
 
 
+def run_here(*arguments: object) -> tuple[int, str, str]:
+    """Exit status, output and errors of the same in this process."""
+    done = CliRunner().invoke(app, ["calibrate", *map(str, arguments)])
+    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+    return done.exit_code, done.stdout, done.stderr
+
+
 def refused(*arguments: object) -> str:
     """What the command line says, in this process: it ended by itself, with status 1."""
     done = CliRunner().invoke(app, ["calibrate", *map(str, arguments)])
@@ -39,13 +46,13 @@ def refused(*arguments: object) -> str:
 @pytest.mark.parametrize(("method", "mean_px"), [("reprojection", 0.5684), ("tsai", 0.7833)])
 def test_points_to_a_file_a_table_and_a_picture(tmp_path: Path, method: str, mean_px: float) -> None:
     output = tmp_path / "camera.yaml"
-    done = run("--points", TABLE_5_2, "--output", output, "--method", method)
-    assert (done.returncode, done.stderr) == (0, "")
-    rows = [line.split() for line in done.stdout.splitlines() if re.match(r" *\d+ +\d", line)]
+    status, table, errors = run_here("--points", TABLE_5_2, "--output", output, "--method", method)
+    assert (status, errors) == (0, "")
+    rows = [line.split() for line in table.splitlines() if re.match(r" *\d+ +\d", line)]
     assert [row[0] for row in rows] == [str(n) for n in range(1, 31)]
     assert all(len(row) == 7 for row in rows)  # point, then nominal, computed and percent error of x and of y
-    assert re.search(rf"mean {mean_px}", done.stdout)
-    assert re.search(r"f_mm +7\.9\d+ +0\.\d+", done.stdout)
+    assert re.search(rf"mean {mean_px}", table)
+    assert re.search(r"f_mm +7\.9\d+ +0\.\d+", table)
 
     written = calibration_file.load(output)
     assert written.residuals is not None
@@ -78,8 +85,8 @@ def test_a_board_of_another_sensor_takes_its_size_from_the_image(tmp_path: Path)
     image = np.pad(render(Scene()), ((60, 60), (80, 80)), mode="edge")
     cv2.imwrite(str(tmp_path / "board.png"), image)
     output = tmp_path / "camera.yaml"
-    done = run("--board", tmp_path / "board.png", *GRID, "--output", output)
-    assert done.returncode == 0, done.stderr
+    status, _, errors = run_here("--board", tmp_path / "board.png", *GRID, "--output", output)
+    assert status == 0, errors
     camera = calibration_file.read(output).camera
     assert (camera.width_px, camera.height_px, camera.cx_px, camera.cy_px) == (800, 600, 400, 300)
     assert camera.f_mm == pytest.approx(Scene().f_mm, rel=0.01)

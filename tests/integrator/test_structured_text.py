@@ -239,6 +239,7 @@ def test_nothing_is_used_that_is_not_declared() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.timeout(900)
 def test_a_parser_of_the_whole_standard_reads_the_same_units() -> None:
     """A quarter of a minute of processor time: Earley's algorithm, over all of IEC 61131-3."""
     from blark.parse import parse_source_code

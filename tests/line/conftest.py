@@ -209,6 +209,12 @@ class Station:
         return self.file
 
 
+def simulated_module(station: Station) -> ModuleServer:
+    """A simulated module at the station's serial port, to be stopped by whoever asked for it."""
+    simulated = SimulatedModule(PROFILES[PROFILE], lambda: 0.0)
+    return ModuleServer(simulated, 1, symlink=station.serial).start()
+
+
 @pytest.fixture
 def station(tmp_path: Path) -> Station:
     return Station(tmp_path)
@@ -220,8 +226,7 @@ def module(station: Station) -> Iterator[Callable[[], ModuleServer]]:
     with contextlib.ExitStack() as stack:
 
         def plug_in() -> ModuleServer:
-            simulated = SimulatedModule(PROFILES[PROFILE], lambda: 0.0)
-            server = ModuleServer(simulated, 1, symlink=station.serial).start()
+            server = simulated_module(station)
             stack.callback(server.stop)
             return server
 

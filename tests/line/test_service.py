@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import os
@@ -10,7 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from inspector.faults import Fault
 from inspector.model import State, Verdict
 from inspector.publish.registers import Status
 from inspector.publish.systemd import Notifier
+from tests.line.conftest import Service, Station, simulated_module
 
 GOES_ON = 3
 """Further results to wait for where something must stay as it is."""
@@ -103,22 +105,48 @@ def lost_and_found(running: Any, code: int, lose: Callable[[], Any], find: Calla
     assert first >= lost["sequence"] + GOES_ON
 
 
-def test_module_faults_have_their_codes_and_end_by_themselves(
-    module: Callable[[], ModuleServer], service: Callable[..., Any]
-) -> None:
-    server = module()
-    running = service()
-    for fault, code in (
+class Lasting:
+    """A station at work through all the losses of one worker's tests, each of which it gets over."""
+
+    def __init__(self, folder: Path, wait_until: Callable[..., Any]) -> None:
+        self.station = Station(folder)
+        self.server = simulated_module(self.station)
+        self.running = Service(self.station.file, wait_until, [])
+
+    def put_back(self) -> None:
+        """The module's line, under another name."""
+        self.server = simulated_module(self.station)
+
+    def close(self) -> None:
+        self.running.close()
+        self.server.stop()
+
+
+@pytest.fixture(scope="module")
+def lasting(tmp_path_factory: pytest.TempPathFactory, wait_until: Callable[..., Any]) -> Iterator[Lasting]:
+    with contextlib.closing(Lasting(tmp_path_factory.mktemp("lasting"), wait_until)) as station:
+        yield station
+
+
+one_service = pytest.mark.xdist_group("one service through all losses")
+
+
+@one_service
+@pytest.mark.parametrize(
+    ("fault", "code"),
+    [
         (WireFault.SILENT, Fault.MODULE_SILENT),
         (WireFault.BAD_CRC, Fault.MODULE_REPLY_WRONG),
         (WireFault.WRONG_UNIT, Fault.MODULE_REPLY_WRONG),
-    ):
-        lost_and_found(
-            running,
-            code,
-            lambda fault=fault: setattr(server, "fault", fault),
-            lambda: setattr(server, "fault", WireFault.NONE),
-        )
+    ],
+)
+def test_module_faults_have_their_codes_and_end_by_themselves(lasting: Lasting, fault: WireFault, code: Fault) -> None:
+    lost_and_found(
+        lasting.running,
+        code,
+        lambda: setattr(lasting.server, "fault", fault),
+        lambda: setattr(lasting.server, "fault", WireFault.NONE),
+    )
 
 
 def test_a_slow_module_that_is_set_up_anew_is_no_stall(
@@ -136,36 +164,32 @@ def test_a_slow_module_that_is_set_up_anew_is_no_stall(
     assert not [line for line in running.log if "has not turned" in line]
 
 
-def test_a_lamp_that_does_not_follow_is_never_a_pass(
-    module: Callable[[], ModuleServer], service: Callable[..., Any]
-) -> None:
-    server = module()
+@one_service
+def test_a_lamp_that_does_not_follow_is_never_a_pass(lasting: Lasting) -> None:
+    module = lasting.server.module
 
     def stick() -> None:
-        server.module.stuck = True
-        server.module.set_value(server.module.profile.read_back_of(0), 0)
+        module.stuck = True
+        module.set_value(module.profile.read_back_of(0), 0)
 
-    lost_and_found(service(), Fault.LAMP_READBACK, stick, lambda: setattr(server.module, "stuck", False))
-
-
-def test_a_serial_line_pulled_and_put_back_under_another_name(
-    module: Callable[[], ModuleServer], service: Callable[..., Any]
-) -> None:
-    first = module()
-    lost_and_found(service(), Fault.MODULE_GONE, first.stop, module)
+    lost_and_found(lasting.running, Fault.LAMP_READBACK, stick, lambda: setattr(module, "stuck", False))
 
 
-def test_a_camera_folder_taken_away_and_put_back(
-    station: Any, module: Callable[[], ModuleServer], service: Callable[..., Any]
-) -> None:
-    server, elsewhere = module(), station.folder / "elsewhere"
+@one_service
+def test_a_serial_line_pulled_and_put_back_under_another_name(lasting: Lasting) -> None:
+    lost_and_found(lasting.running, Fault.MODULE_GONE, lasting.server.stop, lasting.put_back)
+
+
+@one_service
+def test_a_camera_folder_taken_away_and_put_back(lasting: Lasting) -> None:
+    station, elsewhere = lasting.station, lasting.station.folder / "elsewhere"
     lost_and_found(
-        service(),
+        lasting.running,
         Fault.CAMERA_GONE,
         lambda: station.frames.rename(elsewhere),
         lambda: elsewhere.rename(station.frames),
     )
-    assert server.module.output_v(0) == pytest.approx(4.0, abs=0.01)
+    assert lasting.server.module.output_v(0) == pytest.approx(4.0, abs=0.01)
 
 
 def test_a_simulator_killed_in_mid_run_costs_one_result_and_is_started_again(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Literal
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
@@ -64,18 +65,21 @@ class State:
     recipes: dict[int, Learning] = field(default_factory=dict)
 
 
-_ADAPTER = TypeAdapter(State)
+@cache
+def _adapter() -> TypeAdapter[State]:
+    """Made when a state is first written or read: a start need not wait for it."""
+    return TypeAdapter(State)
 
 
 def to_json(state: State) -> str:
     """The state as JSON text; :func:`from_json` gives it back exactly."""
-    return _ADAPTER.dump_json(state).decode()
+    return _adapter().dump_json(state).decode()
 
 
 def from_json(text: str) -> State:
     """Raises ValueError that names the place of what is wrong."""
     try:
-        return _ADAPTER.validate_json(text)
+        return _adapter().validate_json(text)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(map(str, first["loc"]))
