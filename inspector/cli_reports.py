@@ -52,3 +52,53 @@ def export_columns() -> None:
     from inspector.archive_reading import columns
 
     typer.echo(columns.as_markdown(), nl=False)
+
+
+class ExplanationFormat(enum.StrEnum):
+    """Forms of an explanation."""
+
+    TEXT = "text"
+    HTML = "html"
+    JSON = "json"
+
+
+@reports_app.command()
+def explain(
+    result: Annotated[str, typer.Argument(help="The result: its sequence, or its id of the store.")],
+    archive: Archive = None,
+    config: Config = None,
+    frame: Annotated[int | None, typer.Option(min=0, help="Only this one of its frames, from 0.")] = None,
+    format: Annotated[ExplanationFormat, typer.Option(help="How it is told.")] = ExplanationFormat.TEXT,
+    output: Annotated[Path | None, typer.Option(help="File for it; default: standard output.")] = None,
+) -> None:
+    """Tell how a verdict came about: every step from pixels to limits with its numbers, recomputed from the frame.
+
+    Exit status: 0 as recorded, to the last bit, or nothing could be recomputed; 1 it differs; 2 nothing
+    done; 78 refused.
+    """
+    from inspector.archive_reading import explain as command
+
+    raise typer.Exit(command.run(result, archive, config, frame, format.value, output))
+
+
+@reports_app.command()
+def report(
+    output: Annotated[Path, typer.Option(help="HTML file; all that it shows is in it.")],
+    archive: Archive = None,
+    config: Config = None,
+    panel: Annotated[int | None, typer.Option(min=1, help="The latest result of the panel with this id.")] = None,
+    result: Annotated[str | None, typer.Option(help="A result, by its sequence or its id of the store.")] = None,
+    shift: Annotated[
+        str | None, typer.Option(help="DATE/HH:MM-HH:MM, or DATE/NAME with a name of the settings' shifts.")
+    ] = None,
+    begin: From = None,
+    end: To = None,
+) -> None:
+    """Report on a panel, or on a shift, as one HTML file to keep, mail or print.
+
+    Exit status: 0 written, 2 nothing done (it says why), 78 the settings are refused.
+    """
+    from inspector.archive_reading import report as command
+
+    about = command.About(panel, result, shift, begin, end)
+    raise typer.Exit(command.run(archive, config, about, output))

@@ -219,7 +219,7 @@ class _Books:
                 plan.kept,
                 part.result,
                 result.sequence,
-                result.panel_id,
+                panel.panel_id if panel else result.panel_id,
                 number,
                 part.travel_mm,
                 panel if is_last else None,

@@ -17,6 +17,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from inspector import calibration_file
 from inspector.acquire import light
 from inspector.acquire.light import LightSettings
+from inspector.judge.spc.settings import StatisticsSettings
 from inspector.model import Image
 from inspector.optics import Calibration
 from inspector.panel_settings import PanelSettings
@@ -68,6 +69,11 @@ class SettingsVersion:
     def light(self) -> LightSettings | None:
         """The reference patch in the frame, which is not inspected. Raises VersionWrong."""
         return None if self.settings.get("light") is None else self._part(LightSettings, "light")
+
+    @cached_property
+    def statistics(self) -> StatisticsSettings:
+        """The statistics of the paint line. Raises VersionWrong."""
+        return self._part(StatisticsSettings, "statistics")
 
     def without_patch(self, image: Image) -> Image:
         """The image (H, W) as it was inspected."""

@@ -75,7 +75,7 @@ OF_RESULT = [
     Column("run", "int64", "the service from its start to its end, counted", f"r.id >> {RUN_BITS}"),
     Column("sequence", "int64", "the result's number, as the PLC read it", "r.sequence"),
     Column("at", "time", "when the result was there", "r.at_s"),
-    Column("panel_id", "int64", "as the PLC gave it; 0: it gave none", "r.panel_id"),
+    Column("panel_id", "int64", "the panel's number: as the PLC gave it, else counted", "r.panel_id"),
 ]
 VERDICT = [
     Column("verdict", "string", "PASS, FAIL or NOT_INSPECTED", "r.verdict", _verdict),

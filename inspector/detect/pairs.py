@@ -110,8 +110,27 @@ def _grouped(keys: list[int]) -> dict[int, list[int]]:
     return groups
 
 
+@dataclass(frozen=True)
+class Pairing:
+    """How the spots of a frame were paired: the couples considered at what they cost in the end, and which of them are
+    the pairs, in the pairs' order."""
+
+    pairs: HighlightPairs
+    considered: Candidates
+    chosen: list[int]
+
+    def log_odds(self, couple: int) -> float:
+        """Log odds that a couple considered is a seed rather than chance; below LEAST_ODDS it is none."""
+        return LEAST_ODDS + WORTH - self.considered.cost[couple]
+
+
 def pair(spots: Highlights, calibration: Calibration) -> HighlightPairs:
     """Pair the spots of one frame. Every spot is in ``direct``, ``mirror`` or ``unpaired``, and only once."""
+    return pairing(spots, calibration).pairs
+
+
+def pairing(spots: Highlights, calibration: Calibration) -> Pairing:
+    """As :func:`pair`, with how it came to that."""
     rays = reflection.rays(calibration.camera, spots.xy_px)
     found = candidates(spots, rays, calibration)
     chosen = best_matching(found.direct, found.mirror, found.cost, WORTH)
@@ -129,7 +148,8 @@ def pair(spots: Highlights, calibration: Calibration) -> HighlightPairs:
     left[couples] = False
     unpaired = left.nonzero()[0]
     why = _unpaired_flags(spots, rays, unpaired, found, chosen, calibration)
-    return HighlightPairs(couples[0], couples[1], unpaired, flags[0] | flags[1], why, rays)
+    pairs = HighlightPairs(couples[0], couples[1], unpaired, flags[0] | flags[1], why, rays)
+    return Pairing(pairs, found, chosen)
 
 
 def candidates(spots: Highlights, rays: FloatArray, calibration: Calibration) -> Candidates:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -34,22 +35,48 @@ def measure(
     return tuple(sorted(defects, key=lambda d: -d.height_um)), unpaired
 
 
-def _exact(spots: Highlights, pairs: HighlightPairs, calibration: Calibration) -> list[Defect]:
-    """Heights 2 R of resting seeds, with their standard deviation from the spots' covariance."""
+@dataclass(frozen=True)
+class Measured:
+    """Heights (n,) of n pairs by the exact model, and what their standard deviation comes from, all um.
+
+    ``seeds`` are as they were solved at rest; ``sunk`` has SUNK where the height is that of a sunk one. The spots' part
+    of the sigma and the calibration's (None: not known) add in squares.
+    """
+
+    seeds: reflection.Seeds
+    sunk: IntArray
+    height_um: FloatArray
+    spots_sigma_um: FloatArray
+    calibration_sigma_um: FloatArray | None
+    sigma_um: FloatArray
+
+
+def exact(spots: Highlights, pairs: HighlightPairs, calibration: Calibration) -> Measured:
+    """Heights 2 R of resting seeds, or c + R of sunk ones, with their standard deviation."""
     d, m = pairs.direct, pairs.mirror
-    if len(d) == 0:
-        return []
     seeds = reflection.solve(pairs.rays, spots.covariance_px2, d, m, calibration)
     um_a_radius = 2 * calibration.height_gain * UM_PER_MM
     with np.errstate(invalid="ignore"):  # a pair that no seed explains has no number, and FAILs for it
         sigma_um = um_a_radius * np.sqrt(seeds.covariance[:, 2, 2])
-        residual = np.sqrt(seeds.chi2)
-        place_sigma_mm = np.sqrt(np.maximum(seeds.covariance[:, 0, 0], seeds.covariance[:, 1, 1]))
     height_um = um_a_radius * seeds.radius_mm
     sunk = _sunk(spots, pairs, seeds, calibration, height_um, sigma_um)
     field = field_sigma(calibration)
-    if field is not None:
-        sigma_um = np.hypot(sigma_um, field.at(spots.xy_px[d]) * height_um)
+    if field is None:
+        return Measured(seeds, sunk, height_um, sigma_um, None, sigma_um)
+    of_calibration = field.at(spots.xy_px[d]) * height_um
+    return Measured(seeds, sunk, height_um, sigma_um, of_calibration, np.hypot(sigma_um, of_calibration))
+
+
+def _exact(spots: Highlights, pairs: HighlightPairs, calibration: Calibration) -> list[Defect]:
+    """Defects with the heights of :func:`exact`, and their flags."""
+    d, m = pairs.direct, pairs.mirror
+    if len(d) == 0:
+        return []
+    measured = exact(spots, pairs, calibration)
+    seeds, sunk, height_um, sigma_um = measured.seeds, measured.sunk, measured.height_um, measured.sigma_um
+    with np.errstate(invalid="ignore"):
+        residual = np.sqrt(seeds.chi2)
+        place_sigma_mm = np.sqrt(np.maximum(seeds.covariance[:, 0, 0], seeds.covariance[:, 1, 1]))
     sunk_bias_um = np.where(sunk, 0.0, np.abs(seeds.sunk_share) * height_um)
     flags = pairs.flags | sunk
     columns = (seeds.x_mm, seeds.y_mm, height_um, sigma_um, residual, flags, sunk_bias_um, place_sigma_mm)

@@ -109,6 +109,13 @@ def judge_panel(gathered: PanelFrames, station: PanelStation) -> PanelResult:
     )
 
 
+def sightings(gathered: PanelFrames, station: PanelStation) -> list[tuple[Defect, list[tuple[int, Defect]]]]:
+    """Each seed of the panel as its result tells it, highest first, with its sightings: the frame's index, and what
+    that frame shows."""
+    seeds = [(_merged(group), [(s.frame, _defect(s)) for s in group]) for group in _seeds(gathered, station)]
+    return sorted(seeds, key=lambda seed: _highest_first(seed[0]))
+
+
 def _certain(limits: Limits) -> Limits:
     """The limits that no unseen part of the panel can bring the panel back within."""
     return limits.model_copy(update={"max_per_m2": None, "max_unpaired": None, "unmeasured_seed": "report"})

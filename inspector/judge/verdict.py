@@ -5,6 +5,7 @@ Every rule is monotone: one more defect, a higher defect or a lower limit never 
 
 from __future__ import annotations
 
+import enum
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,14 @@ UNTOLD = Flag.CROWDED | Flag.TOO_LARGE
 """Whatever has one of these, paired or not, may hide seeds that could not be told apart."""
 EXPLAINED = SURELY_A_SEED | UNTOLD | NO_SEED | Flag.DUST
 """Any other unpaired highlight is unexplained."""
+
+
+class Standing(enum.Enum):
+    """Where a height lies by a limit: surely over it, within its own uncertainty of it, surely not over it."""
+
+    OVER = "over"
+    WITHIN_GUARD_BAND = "within guard band"
+    UNDER = "under"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,24 +60,29 @@ def judge(
     ``area_m2`` is the inspected area; 0 or NaN where it is unknown, and any defect is then too dense. A PASS may have
     reasons too: what the limits say to report only. A defect whose height, sigma or place is not finite FAILs.
     """
-    judged = [d for d in defects if _is_judged(d, limits)]
-    measured = [d for d in judged if _is_known(d)]
-    findings = [*_unknown(len(judged) - len(measured)), *_density(len(judged), limits, area_m2)]
-    for scope in _scopes(judged, limits):
-        findings += [*_heights(scope, limits), *_count(scope)]
-    findings += [*_unmeasured(judged, unpaired, limits), *_unexplained(unpaired, limits)]
-    verdict = Verdict.FAIL if any(f.fails for f in findings) else Verdict.PASS
+    found = findings(defects, unpaired, limits, area_m2)
+    verdict = Verdict.FAIL if any(f.fails for f in found) else Verdict.PASS
     reasons = 0
-    for finding in findings:
+    for finding in found:
         reasons |= int(finding.reason)
-    return verdict, Reason(reasons), tuple(f.text for f in findings)
+    return verdict, Reason(reasons), tuple(f.text for f in found)
 
 
-def _is_judged(defect: Defect, limits: Limits) -> bool:
+def findings(defects: Sequence[Defect], unpaired: Sequence[Unpaired], limits: Limits, area_m2: float) -> list[Finding]:
+    """What there is to say of these defects and lone highlights, and whether it fails the panel."""
+    judged = [d for d in defects if is_judged(d, limits)]
+    measured = [d for d in judged if _is_known(d)]
+    found = [*_unknown(len(judged) - len(measured)), *_density(len(judged), limits, area_m2)]
+    for scope in scopes(judged, limits):
+        found += [*_heights(scope, limits), *_count(scope)]
+    return [*found, *_unmeasured(judged, unpaired, limits), *_unexplained(unpaired, limits)]
+
+
+def is_judged(defect: Defect, limits: Limits) -> bool:
     """False in an ignored zone, and where the height is surely below the least that counts."""
     if any(zone.ignore and _is_in(defect, zone) for zone in limits.zones):
         return False
-    return not (_is_known(defect) and defect.height_um + _guard_um(defect, limits) < limits.min_height_um)
+    return not (_is_known(defect) and defect.height_um + guard_um(defect, limits) < limits.min_height_um)
 
 
 def _is_in(defect: Defect, zone: Zone) -> bool:
@@ -81,18 +95,27 @@ def _is_known(defect: Defect) -> bool:
     return sigma_um >= 0 and math.isfinite(defect.height_um + sigma_um + defect.x_mm + defect.y_mm)
 
 
-def _guard_um(defect: Defect, limits: Limits) -> float:
+def guard_um(defect: Defect, limits: Limits) -> float:
     """Half width of the guard band about a limit, um; 0 where the method knows no uncertainty."""
     return limits.guard_band_sigma * (defect.height_sigma_um or 0.0)
 
 
-def _scopes(judged: Sequence[Defect], limits: Limits) -> Iterator[Scope]:
+def scopes(judged: Sequence[Defect], limits: Limits) -> Iterator[Scope]:
+    """The panel's limits with all defects that are judged, then each zone's with those inside."""
     yield Scope("on the panel", judged, limits.max_height_um, limits.max_count, Reason.HEIGHT_LIMIT, Reason.COUNT_LIMIT)
     for zone in limits.zones:
         if not zone.ignore:
             inside = [d for d in judged if _is_in(d, zone)]
             where = f"in zone {zone.name}"
             yield Scope(where, inside, zone.max_height_um, zone.max_count, Reason.ZONE_LIMIT, Reason.ZONE_LIMIT)
+
+
+def standing(defect: Defect, limit_um: float, limits: Limits) -> Standing:
+    """Where a height lies by a limit, um."""
+    guard_band_um = guard_um(defect, limits)
+    if defect.height_um - guard_band_um > limit_um:
+        return Standing.OVER
+    return Standing.WITHIN_GUARD_BAND if limit_um < defect.height_um + guard_band_um else Standing.UNDER
 
 
 def _unknown(count: int) -> Iterator[Finding]:
@@ -106,8 +129,9 @@ def _heights(scope: Scope, limits: Limits) -> Iterator[Finding]:
     if limit_um is None:
         return
     known = [d for d in scope.defects if _is_known(d)]
-    over = [d for d in known if d.height_um - _guard_um(d, limits) > limit_um]
-    near = [d for d in known if d.height_um - _guard_um(d, limits) <= limit_um < d.height_um + _guard_um(d, limits)]
+    stands = [(d, standing(d, limit_um, limits)) for d in known]
+    over = [d for d, where in stands if where is Standing.OVER]
+    near = [d for d, where in stands if where is Standing.WITHIN_GUARD_BAND]
     if over:
         yield Finding(
             scope.height_reason,

@@ -246,18 +246,19 @@ def service(station: Station, wait_until: Callable[..., Any]) -> Iterator[Callab
         yield start
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def kept(tmp_path_factory: pytest.TempPathFactory, wait_until: Callable[..., Any]) -> tuple[Station, dict[int, Any]]:
     """A station that has inspected a while and stopped, with its archive; and registers as they were shown, by
     sequence. One of its three frames is black; its settings were refused for a time."""
     station = Station(tmp_path_factory.mktemp("kept"))
-    (station.frames / "F000.png").write_bytes(cv2.imencode(".png", np.zeros((480, 640), np.uint8))[1].tobytes())
+    (station.frames / "C006.png").write_bytes(cv2.imencode(".png", np.zeros((480, 640), np.uint8))[1].tobytes())
     station.settings |= {
         "module": {"profile": PROFILE, "link": {"kind": "simulated"}},
         "archive": {"folder": "archive", "frames": {"min_free_mb": 0}},
         "shifts": {"round the clock": "00:00-00:00"},
     }
     station.settings["recipe"]["name"] = "black gloss"
+    station.settings["camera"]["rate_hz"] = 0
     station.write()
     service, shown = Service(station.file, wait_until, []), {}
 

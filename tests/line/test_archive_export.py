@@ -28,6 +28,7 @@ from inspector.cli import app
 from inspector.faults import Fault
 from inspector.model import Verdict
 
+pytestmark = pytest.mark.xdist_group("kept")
 FORMS = ("csv", "jsonl", "json", "parquet")
 
 
