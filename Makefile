@@ -73,10 +73,10 @@ $(BIN)/python:
 # The package itself is installed in place and without its dependencies: those come from the hashed list alone.
 INSTALL = $(BIN)/pip install --quiet --disable-pip-version-check
 
-$(VENV)/run.stamp: requirements.txt pyproject.toml $(wildcard inspector/_*.[ch] inspector/detect/_*.[ch] inspector/publish/_*.c) | $(BIN)/python
+$(VENV)/run.stamp: requirements.txt pyproject.toml $(wildcard inspector/_*.[ch] inspector/*/_*.[ch] firmware_bridge/*/_*.c) | $(BIN)/python
 	@command -v $(CC) >/dev/null || { echo "no C compiler: apt install gcc libc6-dev (or: make CC=...)" >&2; exit 1; }
 	$(INSTALL) --require-hashes -r requirements.txt
-	rm -f inspector/*.so inspector/*/*.so
+	rm -f inspector/*.so inspector/*/*.so firmware_bridge/*/*.so
 	$(INSTALL) --no-deps --no-build-isolation --editable .
 	@touch $@
 

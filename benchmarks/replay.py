@@ -1,18 +1,17 @@
 """Replaying a session beside decoding its images alone, on as many processes.
 
-    .venv/bin/pip install isal; .venv/bin/python benchmarks/replay.py > benchmarks/replay.txt
+    .venv/bin/python benchmarks/replay.py > benchmarks/replay.txt
 
 Sessions are made of frames of the project, each a file of its own as a station records it: `line`, the demo's frames of
-at most two seeds, as on a line at work; `all`, every frame of config/frames and tests/data/frames, test scenes for the
-most part, far more crowded or over-exposed than a panel is. A round decodes and replays in turn, on all cores by the
-clock, and a tenth of the frames in one process by its processor time; ratios are within rounds. Decoding is
-`cv2.imdecode` of the file's bytes and nothing else, in the same kind of processes' pool.
+at most two seeds, as on a line at work; `demo`, the demo's as they come; `all`, every frame of config/frames and
+tests/data/frames, test scenes for the most part, far more crowded or over-exposed than a panel is. A round decodes and
+replays in turn, on all cores by the clock, and a tenth of the frames in one process by its processor time; ratios are
+within rounds. Decoding is `cv2.imdecode` of the file's bytes and nothing else, in the same kind of processes' pool.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import os
 import platform
 import shutil
@@ -26,12 +25,13 @@ import cv2
 import numpy as np
 
 from firmware_bridge.wire.session import INDEX, Recorded, line
-from inspector import imagefile, settings, settings_version, workers
+from inspector import imagefile, settings, settings_version
 from inspector.archive.session_frames import Inspected, Kept
 from inspector.archive.session_writer import SessionWriter
 from inspector.change_options import Asked
 from inspector.reinspection import Reinspection
-from inspector.replay import Output, run
+from inspector.replay import workers
+from inspector.replay.command import Output, run
 
 ROOT = Path(__file__).parents[1]
 PART = 50
@@ -44,6 +44,8 @@ def scenes(name: str) -> list[tuple[Path, Reinspection]]:
     found = [(p, Reinspection(demo)) for p in sorted((ROOT / "config" / "frames").glob("*.png"))]
     if name == "line":
         return [(p, again) for p, again in found if seeds_of(p, again) <= FEW_SEEDS]
+    if name == "demo":
+        return found
     own = (ROOT / "tests" / "data" / "frames" / "calibration.yaml").read_text()
     data = Reinspection(settings_version.SettingsVersion("0000data", demo.settings, own))
     return found + [(p, data) for p in sorted((ROOT / "tests" / "data" / "frames").glob("*.png"))]
@@ -98,12 +100,11 @@ def main() -> None:
     options.add_argument("--frames", type=int, default=10000)
     options.add_argument("--rounds", type=int, default=3)
     asked = options.parse_args()
-    isal = "isal" if importlib.util.find_spec("isal") else "no isal"
-    versions = f"Python {platform.python_version()}, OpenCV {cv2.__version__}, {isal}"
+    versions = f"Python {platform.python_version()}, OpenCV {cv2.__version__}"
     print(f"{platform.machine()}, {workers.cores()} cores, load {os.getloadavg()[0]:.1f}, {versions}")
     print(f"{asked.rounds} rounds; seconds are medians")
     with tempfile.TemporaryDirectory() as tmp:
-        for name in ("line", "all"):
+        for name in ("line", "demo", "all"):
             for what, clock, jobs, frames in (
                 ("by the clock", time.monotonic, workers.cores(), asked.frames),
                 ("processor time", time.process_time, 1, asked.frames // 10),

@@ -55,8 +55,8 @@ def replay(
     Exit status: 0 all the same to the last bit, or all compared with other settings; 1 differences by their own
     settings, or not all could be compared (each is named); 2 nothing could be done.
     """
-    from inspector import replay as command
     from inspector.change_options import Asked
+    from inspector.replay import command
 
     asked = Asked(recipe, calibration, method.value if method else None, config)
     raise typer.Exit(command.run(sessions, asked, command.Output(format.value, output, plot, state), jobs))
@@ -81,8 +81,8 @@ def reinspect(
     Exit status: 0 all the same to the last bit, or all compared with other settings; 1 differences by their own
     settings, or not all could be compared; 2 nothing could be done, or not all of it.
     """
-    from inspector import reinspect as command
     from inspector.change_options import Asked
+    from inspector.replay import reinspect as command
 
     asked = Asked(recipe, calibration, method.value if method else None, config)
     raise typer.Exit(command.run(archive, asked, output, scheduler, jobs))
@@ -91,6 +91,6 @@ def reinspect(
 @sessions_app.command("reinspect-columns")
 def reinspect_columns() -> None:
     """Print the manual's page on the tables that reinspect writes."""
-    from inspector import reinspect_tables
+    from inspector.replay import tables
 
-    typer.echo(reinspect_tables.as_markdown(), nl=False)
+    typer.echo(tables.as_markdown(), nl=False)

@@ -13,9 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from inspector import native
+from firmware_bridge import native
+from firmware_bridge.native import out
 from inspector.model import FloatArray
-from inspector.native import out
 
 PARAMETERS = (
     "rotation_x_rad",

@@ -18,9 +18,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from inspector import native
+from firmware_bridge import native
+from firmware_bridge.native import out
 from inspector.model import FloatArray, IntArray
-from inspector.native import out
 from inspector.optics import Calibration, Camera, Light
 
 MIRROR = np.array([1.0, 1.0, -1.0])

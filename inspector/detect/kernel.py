@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from inspector import native
+from firmware_bridge import native
+from firmware_bridge.native import out
 from inspector.model import FloatArray, Image, IntArray
-from inspector.native import out
 
 _MODULE = "inspector.detect._kernel"
 _detect = native.function(_MODULE, "kernel_detect", "ppiiiddippippp")

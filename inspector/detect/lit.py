@@ -12,10 +12,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from inspector import native
+from firmware_bridge import native
+from firmware_bridge.native import out
 from inspector.detect.kernel import Pixels
 from inspector.model import FloatArray
-from inspector.native import out
 
 TILE_ROWS, TILE_COLUMNS, SAMPLES = 6, 8, 8
 """The background is taken in 6 x 8 tiles from 8 x 8 samples of each: 3072 pixels say enough of a smooth panel."""

@@ -17,10 +17,11 @@ from math import log
 import numpy as np
 import numpy.typing as npt
 
-from inspector import native, reflection
+from firmware_bridge import native
+from firmware_bridge.native import out
+from inspector import reflection
 from inspector.detect.matching import best_matching
 from inspector.model import Flag, FloatArray, HighlightPairs, Highlights, IntArray
-from inspector.native import out
 from inspector.optics import Calibration
 
 LARGEST_RADIUS_MM = 12.0

@@ -6,8 +6,8 @@ import ctypes
 import enum
 from collections.abc import Iterable
 
+from firmware_bridge import native
 from firmware_bridge.wire.modbus import Counters
-from inspector import native
 from inspector.publish.published_image import MODULE, PublishedImage
 
 _bytes = native.function(MODULE, "plc_bytes", "")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import itertools
 
-from inspector import native
+from firmware_bridge import native
 from inspector.publish.registers import Image
 
 MODULE = "inspector.publish._plc"

@@ -8,9 +8,10 @@ import pytest
 
 from firmware_bridge.wire import profiles_page
 from firmware_bridge.wire.profiles import PROFILES
-from inspector import fault_table, reinspect_tables
+from inspector import fault_table
 from inspector.archive_reading import columns
 from inspector.faults import Fault
+from inspector.replay import tables
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -18,7 +19,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 @pytest.mark.parametrize(("name", "made"), [
     ("modules.md", profiles_page.markdown),
     ("faults.md", fault_table.as_markdown),
-    ("reinspect.md", reinspect_tables.as_markdown),
+    ("reinspect.md", tables.as_markdown),
     ("export.md", columns.as_markdown),
 ])  # fmt: skip
 def test_the_committed_page_is_current(name: str, made: object) -> None:

@@ -21,10 +21,11 @@ from pyarrow import parquet
 from typer.testing import CliRunner
 
 from firmware_bridge.wire import session
-from inspector import reinspect, reinspect_tables
 from inspector.change_options import Asked
 from inspector.cli import app
-from inspector.reinspect_tables import Written
+from inspector.replay import reinspect
+from inspector.replay import tables as table_columns
+from inspector.replay.tables import Written
 
 pytestmark = pytest.mark.xdist_group("cluster")
 FRAMES = 3 * len(recorded_sessions.FRAMES)
@@ -86,7 +87,7 @@ def test_every_frame_and_seed_has_its_row_in_order(archive: Path, tmp_path: Path
 
 
 def test_columns_say_what_they_are(alone: dict[str, bytes], tmp_path: Path) -> None:
-    for table, columns in (("frames", reinspect_tables.FRAMES), ("seeds", reinspect_tables.SEEDS)):
+    for table, columns in (("frames", table_columns.FRAMES), ("seeds", table_columns.SEEDS)):
         file = tmp_path / f"{table}.parquet"
         file.write_bytes(alone[f"{table}/part-000000.parquet"])
         schema = parquet.read_schema(file)

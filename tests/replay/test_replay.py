@@ -22,12 +22,13 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner, Result
 
 from firmware_bridge.wire import session
-from inspector import imagefile, replay, workers
+from inspector import imagefile
 from inspector.change_options import Asked
 from inspector.cli import app
-from inspector.replay import Output
-from inspector.replay_tally import Tally
-from inspector.session_plan import Plan
+from inspector.replay import command, workers
+from inspector.replay.command import Output
+from inspector.replay.plan import Plan
+from inspector.replay.tally import Tally
 
 DEMO = recorded_sessions.CONFIG / "calibration" / "demo.yaml"
 SEVERAL = {
@@ -192,7 +193,7 @@ def test_a_folder_without_sessions_is_said(tmp_path: Path) -> None:
 
 
 def run(folder: Path, output: Path, jobs: int, asked: Asked, part_bytes: int) -> bytes:
-    replay.run([folder], asked, Output("json", output), jobs, part_bytes)
+    command.run([folder], asked, Output("json", output), jobs, part_bytes)
     return output.read_bytes()
 
 
@@ -236,9 +237,9 @@ def test_an_interrupted_run_ends_as_one_that_was_not(spoilt: Path, tmp_path_fact
             raise Interrupted
         return examine(*words, **more)
 
-    examine: Callable[..., Tally] = replay.examine
+    examine: Callable[..., Tally] = command.examine
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(replay, "examine", at_times)
+        patch.setattr(command, "examine", at_times)
         with pytest.raises(Interrupted):
             run(spoilt, output, 1, asked, 1)
         state = output.with_name("again.json.state")
@@ -275,7 +276,7 @@ SHARES = """
 import sys
 from pathlib import Path
 import recorded_sessions
-from inspector import workers
+from inspector.replay import workers
 
 if __name__ == "__main__":
     list(workers.share(recorded_sessions.stays, [(0, Path(sys.argv[1])), (1, Path(sys.argv[1]))], 2))

@@ -75,7 +75,7 @@ class Recording:
         self.frames += 1
         said = Inspected(used.name, Kept.SAMPLE, result, self.panels, self.panels + 70, n, mm, panel, (), of)
         taken = Recorded(f"{self.frames:06d}.png", self.frames, 1.7e9 + self.frames, 1e3, 1e3, 4.0, 4.0, said.as_dict())
-        self._writer.keep(image, taken)
+        self._writer.keep([(image, taken)])
 
 
 def dies_once(marker: Path) -> int:

@@ -9,8 +9,8 @@ from importlib.metadata import version as release
 from pathlib import Path
 from typing import Any
 
-from inspector.replay_tally import Tally
-from inspector.session_plan import Plan
+from inspector.replay.plan import Plan
+from inspector.replay.tally import Tally
 
 VERSION = 1
 

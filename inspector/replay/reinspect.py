@@ -16,15 +16,15 @@ from pathlib import Path
 from typing import Any
 
 from firmware_bridge import whole_file
-from inspector import workers
 from inspector.change_options import Asked, Unusable, change_of
-from inspector.comparison import Comparing
-from inspector.reinspect_tables import COUNTS, Written, written
 from inspector.reinspection import Change
-from inspector.replay import AS_IT_WAS, NOTHING_DONE, SOME_NOT
-from inspector.replay_state import program
-from inspector.session_plan import Part, Plan
-from inspector.workers import WorkersDied
+from inspector.replay import workers
+from inspector.replay.command import AS_IT_WAS, NOTHING_DONE, SOME_NOT
+from inspector.replay.comparison import Comparing
+from inspector.replay.plan import Part, Plan
+from inspector.replay.state import program
+from inspector.replay.tables import COUNTS, Written, written
+from inspector.replay.workers import WorkersDied
 
 PARTITION_BYTES = 4 << 20
 """An index is shared out in partitions of this size: some three thousand frames, ten seconds' work."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import os
 import signal
@@ -9,7 +10,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from typing import TypeVar
 
@@ -18,6 +19,12 @@ Made = TypeVar("Made")
 
 TRIES = 3
 """So often in a row may all of the work be lost with a process before it is given up."""
+
+
+MALLOC_TRIM_THRESHOLD, MALLOC_MMAP_THRESHOLD = -1, -3
+"""Numbers of mallopt(3)."""
+KEPT_BYTES = 32 << 20
+"""As much as mallopt takes."""
 
 
 class WorkersDied(RuntimeError):
@@ -80,10 +87,15 @@ def _end_with(alive: Connection) -> None:
 
 
 def _begin() -> None:
-    """One thread in each process: they are as many as the cores already."""
+    """One thread in each process, they are as many as the cores already; and memory that a frame took is kept for the
+    next one: glibc gives it back each time, and having it anew costs up to a quarter of a frame's time."""
     import cv2
 
     cv2.setNumThreads(1)
+    with suppress(AttributeError):  # another C library
+        mallopt = ctypes.CDLL(None).mallopt
+        mallopt(MALLOC_MMAP_THRESHOLD, KEPT_BYTES)
+        mallopt(MALLOC_TRIM_THRESHOLD, KEPT_BYTES)
 
 
 @contextmanager

@@ -12,13 +12,13 @@ from functools import partial
 from pathlib import Path
 
 from firmware_bridge import whole_file
-from inspector import replay_text, workers
 from inspector.change_options import Asked, Unusable, change_of
-from inspector.comparison import Comparing
 from inspector.reinspection import Change
-from inspector.replay_state import OfAnother, State, program
-from inspector.replay_tally import Tally, tally
-from inspector.session_plan import Part, Plan
+from inspector.replay import summary, workers
+from inspector.replay.comparison import Comparing
+from inspector.replay.plan import Part, Plan
+from inspector.replay.state import OfAnother, State, program
+from inspector.replay.tally import Tally, tally
 
 AS_IT_WAS, SOME_NOT, NOTHING_DONE = 0, 1, 2
 """Exit statuses: all as it was, or all compared with new settings; differences, or not all could be compared; nothing
@@ -114,11 +114,11 @@ def examine(part: Part, change: Change, every_seed: bool) -> Tally:
 
 
 def _print(counted: Tally, output: Output, asked: Asked) -> None:
-    text = replay_text.FORMATS[output.form](counted)
+    text = summary.FORMATS[output.form](counted)
     if output.plot:
-        from inspector import replay_plot
+        from inspector.replay import plot
 
-        whole_file.write(output.plot, replay_plot.svg(counted))
+        whole_file.write(output.plot, plot.svg(counted))
     if output.file:
         whole_file.write(output.file, text + "\n")
     else:

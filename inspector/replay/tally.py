@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-from inspector.comparison import Compared, Seed, same, seeds
 from inspector.model import FrameResult, PanelResult
+from inspector.replay.comparison import Compared, Seed, same, seeds
 from inspector.sessions import RecordedFrame
 
 Said = dict[str, Any]

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import asdict
 
-from inspector.replay_tally import Difference, Tally, heights
+from inspector.replay.tally import Difference, Tally, heights
 
 
 def as_json(counted: Tally) -> str:

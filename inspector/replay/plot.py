@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from inspector.replay_tally import Tally
+from inspector.replay.tally import Tally
 
 SIDE, LEFT, TOP, GAP, BOTTOM = 360, 80, 40, 110, 60
 FONT = 'font-family="sans-serif" font-size="13"'

@@ -1,0 +1,1 @@
+"""Recorded sessions inspected again: `inspector replay` and `inspector reinspect`."""
