@@ -7,8 +7,10 @@ between panels, so that many may read it at a time; what they find does not depe
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from filecmp import cmp
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -17,7 +19,8 @@ from typing import BinaryIO
 from firmware_bridge.wire import session
 from firmware_bridge.wire.session import INDEX, Recorded, SessionWrong
 from inspector import settings_version
-from inspector.archive.session_frames import Inspected, inspected, version_file
+from inspector.archive.recorder import FRAMES, LAST
+from inspector.archive.session_frames import Inspected, Kept, inspected, version_file
 from inspector.settings_version import SettingsVersion, VersionWrong
 
 UNCOUNTED = 0
@@ -77,11 +80,15 @@ class Spoilt:
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A part of a session's index, bytes ``start`` to ``stop``, cut between panels."""
+    """A part of a session's index, bytes ``start`` to ``stop``, cut between panels.
+
+    ``counted_in`` is a shelf whose sessions have some of its frames too: these are passed over here.
+    """
 
     folder: Path
     start: int
     stop: int
+    counted_in: Path | None = None
 
 
 def find(paths: Sequence[Path]) -> list[Path]:
@@ -94,6 +101,12 @@ def find(paths: Sequence[Path]) -> list[Path]:
                 found[Path(folder)] = None
                 below.clear()
     return list(found)
+
+
+def counted_in(folder: Path, shelves: Collection[Path]) -> Path | None:
+    """Which of the ``shelves`` that are read has frames of this session, of an archive's last ones, too; or None."""
+    frames = folder.parent.with_name(FRAMES)
+    return frames if folder.parent.name == LAST and frames in shelves else None
 
 
 def read_session(folder: Path) -> list[RecordedFrame | Spoilt]:
@@ -123,7 +136,33 @@ def stretches(folder: Path, size: int, up_to: int | None = None) -> list[Stretch
 
 
 def read(stretch: Stretch) -> Iterator[list[RecordedFrame | Spoilt]]:
-    """What the lines say, those of one panel together. Raises OSError."""
+    """What the lines say, those of one panel together, without panels that are counted elsewhere. Raises OSError."""
+    elsewhere = _images(stretch.counted_in) if stretch.counted_in else {}
+    for panel in _panels(stretch):
+        if not all(_is_among(item, elsewhere) for item in panel):
+            yield panel
+
+
+def _images(shelf: Path) -> dict[str, list[Path]]:
+    """The images in a shelf's sessions by their names. Raises OSError."""
+    found: dict[str, list[Path]] = {}
+    for folder in shelf.iterdir():
+        with suppress(FileNotFoundError, NotADirectoryError):  # deleted meanwhile, or no session
+            for name in os.listdir(folder):
+                found.setdefault(name, []).append(folder / name)
+    return found
+
+
+def _is_among(item: RecordedFrame | Spoilt, images: Mapping[str, Sequence[Path]]) -> bool:
+    """Whether the frame's image is one of these, linked or copied; one that was kept as one of the last only is not."""
+    if not isinstance(item, RecordedFrame) or item.inspected is None or item.inspected.kept is Kept.LAST:
+        return False
+    with suppress(OSError):
+        return any(cmp(item.image, other) for other in images.get(item.recorded.file, ()))
+    return False
+
+
+def _panels(stretch: Stretch) -> Iterator[list[RecordedFrame | Spoilt]]:
     panel: list[RecordedFrame | Spoilt] = []
     with (stretch.folder / INDEX).open("rb") as file:
         file.seek(stretch.start)

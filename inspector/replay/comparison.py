@@ -105,7 +105,8 @@ class Comparing:
         """The last frame with its panel judged again, if all of its frames are there."""
         assert isinstance(last.item, RecordedFrame)
         assert last.item.inspected
-        inspected = last.item.inspected
+        assert last.item.inspected.panel
+        inspected, then = last.item.inspected, last.item.inspected.panel
         frames = [
             PanelFrame(one.now, one.item.inspected.travel_mm)
             for one in found
@@ -115,7 +116,8 @@ class Comparing:
             return replace(last, panel_why=PANEL_INCOMPLETE)
         try:
             again = self._again(last.item)
-            return replace(last, panel=again.panel(frames, inspected.panel_id, inspected.missing))
+            # Its own number, which may be None, where the line has the one that the PLC was shown.
+            return replace(last, panel=again.panel(frames, then.panel_id, inspected.missing))
         except Exception as error:
             return replace(last, panel_why=_program(error))
 

@@ -4,12 +4,12 @@ the same parts again, also where sessions have grown meanwhile."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from firmware_bridge.wire.session import INDEX, SessionWrong
-from inspector.sessions import Spoilt, Stretch, find, stretches
+from inspector.sessions import Spoilt, Stretch, counted_in, find, stretches
 
 Part = tuple[Stretch | Spoilt, ...]
 
@@ -40,11 +40,15 @@ class Plan:
         return [*parts, tuple(gathered)] if gathered else parts
 
     def _pieces(self) -> Iterator[Stretch | Spoilt]:
-        for folder, size in self.sessions:
+        folders = [Path(folder) for folder, _ in self.sessions]
+        shelves = {folder.parent for folder in folders}
+        for folder, (_, size) in zip(folders, self.sessions, strict=True):
             try:
-                yield from stretches(Path(folder), self.part_bytes, size)
+                found = stretches(folder, self.part_bytes, size)
             except SessionWrong as error:
-                yield Spoilt(Path(folder), 0, str(error))
+                yield Spoilt(folder, 0, str(error))
+            else:
+                yield from (replace(stretch, counted_in=counted_in(folder, shelves)) for stretch in found)
 
     def as_json(self) -> dict[str, Any]:
         """As a state file keeps it."""

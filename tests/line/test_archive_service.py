@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import signal
 import sqlite3
@@ -12,12 +13,14 @@ from typing import Any
 
 import cv2
 import pytest
+from typer.testing import CliRunner
 
 from firmware_bridge.simulators.module_server import ModuleServer
 from firmware_bridge.wire import session
 from inspector.archive import result_json
 from inspector.archive.session_frames import inspected, version_file
 from inspector.archive.store import FILE
+from inspector.cli import app
 from inspector.handshake_table import Control
 from inspector.ledger import Ledger
 from inspector.metrics.table import ARCHIVE
@@ -89,6 +92,33 @@ def test_every_frame_kept_explains_its_result(
         rows = read(archive, f"SELECT height_um FROM defect WHERE result & 0xffffffff = {sequence} ORDER BY number")
         assert [h for (h,) in rows] == [d.height_um for d in said.result.defects]
     assert read(archive, "SELECT name FROM settings_version") == [(said.settings,)]
+
+
+def test_an_archive_is_replayed_as_it_was_each_frame_once(
+    station: Any, archive: Path, module: Callable[[], ModuleServer], service: Callable[..., Any]
+) -> None:
+    """Panels of two frames, with a reference patch; the sample's frames are among the last ones too."""
+    station.settings["archive"]["frames"] |= {"passing_every": 2, "last": 24}
+    station.settings["light"] = {
+        "patch": {"x_px": 8, "y_px": 8, "width_px": 48, "height_px": 48},
+        "target_dn": 8,
+        "tolerance": 0.9,
+    }
+    station.settings["panel"] = {
+        "frames": {"kind": "count", "count": 2},
+        "travel": {"by": {"kind": "pitch", "mm_per_frame": 5}, "direction_deg": 90},
+    }
+    station.write()
+    module()
+    assert service("--panels", "24").ended() == 0
+    shelves = [{path.name for path in (archive / shelf).glob("*/*.png")} for shelf in ("frames", "last")]
+    assert shelves[0] & shelves[1]
+    done = CliRunner().invoke(app, ["replay", str(archive), "--jobs", "1", "--format", "json"])
+    said = json.loads(done.stdout)
+    frames = len(shelves[0] | shelves[1])
+    assert (said["frames"], said["frames_same"], said["panels"]) == (frames, frames, frames // 2)
+    assert (said["panels_same"], said["differences"], said["not_compared"]) == (frames // 2, [], [])
+    assert done.exit_code == 0
 
 
 def test_without_its_disk_the_line_goes_on_and_nothing_is_lost(
