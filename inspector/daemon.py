@@ -264,7 +264,7 @@ class Daemon:
         """The frame is there, or will not be: what is left waits for no device, so that silence is soon a stall."""
         try:
             if frame is not None:
-                self._trigger.took(frame.frame_id)
+                self._trigger.took(frame.frame_id, frame.taken_s)
             self._trigger.glance()
         except BridgeError as error:
             self._trigger_unread(error)
@@ -299,7 +299,9 @@ class Daemon:
     def _publish(self, result: Snapshot, name: str, why: tuple[str, ...], panel: PanelResult | None = None) -> None:
         """A result for everybody, on the disk before anybody sees it."""
         self._ledger.burnt(self._cycle.levels.burnt_hours)
-        self._show(self._ledger.kept(self._history.after(result), why, panel))
+        kept = self._ledger.kept(self._history.after(result), why, panel)
+        came_s = self._trigger.came_s
+        self._show(replace(kept, response_us=None if came_s is None else 1e6 * (time.monotonic() - came_s)))
         self._tell(self._settings.log, self._snapshot, name, why)
 
     def _obey(self) -> None:

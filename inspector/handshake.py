@@ -5,8 +5,9 @@ once, and what answers it stays until the PLC drops it.
 
 Results. With buffering the result shown stays until the PLC acknowledges it, by its sequence, and the next comes from
 a FIFO; a result that finds the FIFO full is lost, counted and flagged, never put in another's place. Without buffering
-the newest is shown at once. A buffer that holds results goes on buffering until the PLC has taken them, whatever
-BUFFER_RESULTS says, so that a PLC that starts again with zeros loses none.
+the newest is shown at once; a PLC that acknowledges nevertheless sees it as it was found until it has done so, also
+where people change the recipe meanwhile. A buffer that holds results goes on buffering until the PLC has taken them,
+whatever BUFFER_RESULTS says, so that a PLC that starts again with zeros loses none.
 
 People. The operator's page has a block of its own, and behind it a second :class:`Handshake` of which only commands and
 CLEAR_FAULT are asked: neither side can drop, raise or overwrite what the other has written.
@@ -88,6 +89,8 @@ class Handshake:
     panel_id: int = 0
     """Id of the panel begun; 0: none was given."""
     buffering: bool = False
+    acknowledges: bool = False
+    """The PLC says by RESULTS_ACK when it has taken a result: it has done so since the start."""
     shown: Snapshot = Snapshot()
     """The result that the registers show; one without a verdict before the first."""
     waiting: tuple[Snapshot, ...] = ()
@@ -127,7 +130,8 @@ def written(state: Handshake, block: ControlBlock, now_s: float) -> Stepped:
         if bit in rises | drops:
             state, more = _fired(state, _event(state, bit, bit in rises), now_s)
             orders += more
-    return _buffered(state), orders
+    acknowledges = state.acknowledges or Control.RESULTS_ACK in rises
+    return _buffered(replace(state, acknowledges=acknowledges)), orders
 
 
 _ORDER_OF_EDGES = (
@@ -196,8 +200,8 @@ def discarded(state: Handshake) -> Handshake:
 
 def view(state: Handshake, live: Snapshot) -> Snapshot:
     """What the registers show: ``live`` is the station as it is now, with its newest result."""
-    shown, kept = state.shown, state.buffering and state.result is Step.RESULT_OFFERED
-    station = station_view(state, live)
+    shown, station = state.shown, station_view(state, live)
+    kept = state.result is Step.RESULT_OFFERED and (state.buffering or state.acknowledges)
     return with_result(station, shown) if kept or shown.sequence != live.sequence else station
 
 
@@ -309,6 +313,7 @@ OF_A_RESULT = (
     "result_at_s",
     "elapsed_us",
     "cycle_us",
+    "response_us",
     "lamp_read_v",
     "exposure_us",
     "configuration_hash",

@@ -43,7 +43,7 @@ class Answer(enum.IntFlag):
 CONTROL_MEANINGS = {
     Control.TRIGGER: "Rising: inspect one panel (trigger kind plc); drop it when TRIGGER_ACK is there",
     Control.RESULTS_ACK: "Rising: the result whose sequence is in acknowledged_sequence has been taken",
-    Control.BUFFER_RESULTS: "While set, each result is kept until it is acknowledged",
+    Control.BUFFER_RESULTS: "While set, each result is kept until it is acknowledged; else the newest is shown at once",
     Control.OFFLINE: "While set, the station stays ready but inspects nothing",
     Control.CLEAR_FAULT: "Rising: drop TRIGGER_MISSED and OVERRUN, try failed devices at once",
     Control.PANEL_START: "Rising: a panel begins, its id in control_panel_id; ends the one before",
@@ -52,7 +52,7 @@ CONTROL_MEANINGS = {
 }
 ANSWER_MEANINGS = {
     Answer.ONLINE: "The station inspects when it is triggered; off while OFFLINE is set",
-    Answer.TRIGGER_READY: "A TRIGGER that rises now is taken",
+    Answer.TRIGGER_READY: "A TRIGGER that rises now is taken. Off in a cycle, and while the lamp follows a new level",
     Answer.TRIGGER_ACK: "The TRIGGER was taken; stays until TRIGGER drops. Its result will come",
     Answer.TRIGGER_MISSED: "A TRIGGER came while TRIGGER_READY was off; nothing was inspected. Until CLEAR_FAULT",
     Answer.RESULT_AVAILABLE: "The block shows a result that was not yet acknowledged",

@@ -289,6 +289,8 @@ class Snapshot:
     """Monotonic time the result was published, seconds; None while there is none."""
     elapsed_us: float = 0.0
     cycle_us: float = 0.0
+    response_us: float | None = None
+    """From the trigger of the result's last frame until the result was shown; None: not known."""
     panels_passed: int = 0
     panels_failed: int = 0
     panels_not_inspected: int = 0

@@ -20,7 +20,9 @@ class Debounced:
     seen: bool
     since_s: float
     """When it was first seen so."""
-    before_s: float
+    looked_s: float
+    """When it was looked at last."""
+    before_s: float = -math.inf
     """When it was last seen otherwise."""
     rose: bool = False
 
@@ -28,11 +30,9 @@ class Debounced:
 def debounce(state: Debounced, seen: bool, now_s: float, stable_s: float) -> Debounced:
     """The input after one more look. A change counts once it was seen for ``stable_s`` without a break."""
     if seen != state.seen:
-        state = replace(state, seen=seen, since_s=now_s)
-    elif seen == state.level:
-        state = replace(state, before_s=now_s)
+        state = replace(state, seen=seen, since_s=now_s, before_s=state.looked_s)
     changed = seen != state.level and now_s - state.since_s >= stable_s
-    return replace(state, level=seen if changed else state.level, rose=changed and seen)
+    return replace(state, level=seen if changed else state.level, looked_s=now_s, rose=changed and seen)
 
 
 class Trigger:
@@ -46,6 +46,8 @@ class Trigger:
         self.missed, self.late = missed, late
         self.missed_before = missed
         """:attr:`missed` as it was when the trigger of the last cycle came."""
+        self.came_s: float | None = None
+        """When that was, on the clock; None before the first."""
         self._resume_s = -math.inf
 
     def due_s(self, now_s: float) -> float:
@@ -54,13 +56,13 @@ class Trigger:
 
     def begins(self, now_s: float) -> None:
         """A cycle begins."""
-        self.missed_before = self.missed
+        self.missed_before, self.came_s = self.missed, now_s
 
     def glance(self) -> None:
         """Look whether another trigger comes, in the middle of a cycle. Raises what reading raises."""
 
-    def took(self, frame_id: int) -> None:
-        """The cycle's frame had this id."""
+    def took(self, frame_id: int, taken_s: float) -> None:
+        """The cycle's frame had this id, and came at this time."""
 
     def passed_over(self, frames: int) -> None:
         """The camera had taken so many frames unasked when it was asked, and waits."""
@@ -70,6 +72,7 @@ class Trigger:
         self._resume_s = resume_s
 
     def _came(self, trigger_s: float, now_s: float) -> None:
+        self.came_s = trigger_s
         self.late += now_s - trigger_s > self._late_after_s
 
 
@@ -162,7 +165,8 @@ class Input(Trigger):
         self._read, self._stable_s, self.look_s = read, stable_s, look_s
         self._state: Debounced | None = None
         self._was_off = False
-        self._came_s: float | None = None
+        self._off_s: float | None = None
+        """When the input that has come on was last seen off."""
 
     def due_s(self, now_s: float) -> float:
         """See the base. Raises what reading raises. An input that is on at the first look has not come on."""
@@ -173,14 +177,15 @@ class Input(Trigger):
             self._state = Debounced(seen, seen, now_s, now_s)
         self._state = debounce(self._state, seen, now_s, self._stable_s)
         if self._state.rose:
-            self._came_s = self._state.before_s
-        return math.inf if self._came_s is None else now_s
+            self._off_s = self._state.before_s
+        return math.inf if self._off_s is None else now_s
 
     def begins(self, now_s: float) -> None:
         """See the base. The input may have come on as early as just after it was last seen off."""
         super().begins(now_s)
-        if self._came_s is not None:
-            self._came(self._came_s + self._stable_s + self.look_s, now_s)
+        if self._off_s is not None:
+            self.came_s = self._off_s
+            self.late += now_s - self._off_s > self._stable_s + self.look_s + self._late_after_s
 
     def glance(self) -> None:
         """See the base."""
@@ -188,19 +193,20 @@ class Input(Trigger):
 
     def ended(self, now_s: float, resume_s: float) -> None:
         """See the base. What the input did during the cycle begins nothing."""
-        self._came_s, self._state = None, None
+        self._off_s, self._state = None, None
 
 
 class Line(Trigger):
-    """The camera's own input line: the camera is asked at once, and waits. What it took unasked shows in its ids."""
+    """The camera's own input line: the camera is asked at once, and waits. What it took unasked shows in its ids. Of
+    when the line rose nobody but the camera knows: a trigger counts from when its frame came."""
 
     _last_id: int | None = None
 
-    def took(self, frame_id: int) -> None:
+    def took(self, frame_id: int, taken_s: float) -> None:
         """See the base. Frames between the last one and this were nobody's."""
         if self._last_id is not None:
             self.missed += max(0, frame_id - self._last_id - 1)
-        self._last_id, self.missed_before = frame_id, self.missed
+        self._last_id, self.missed_before, self.came_s = frame_id, self.missed, taken_s
 
     def passed_over(self, frames: int) -> None:
         """See the base. Frames before the first one are not known to be of the line."""

@@ -117,7 +117,7 @@ class PlcServer:
         self._stalled, self._stalls = False, 0
         self._lock = threading.Lock()
         self._published = PublishedImage()
-        registers = ServedRegisters(self._published, on_control)
+        registers = ServedRegisters(self._published, on_control, threading.RLock())
         self._slave = Slave(dict.fromkeys(unit_ids, registers), _identity(name))
         self._direct = Direct(self._published, unit_ids, self._slave.counters)
         self._serial = serial

@@ -28,6 +28,8 @@ from inspector.publish.wire_fields import WordOrder as WordOrder
 MAP_VERSION = 1
 """Raised when a register's meaning or place changes; a new register in a gap does not raise it."""
 
+REGISTER_BITS = 16
+"""Bit b of register r is coil and discrete input number REGISTER_BITS * r + b."""
 RESULT_ADDRESS, RESULT_WORDS = 0, 125
 CONTROL_ADDRESS, CONTROL_WORDS = 500, 16
 OPERATOR_ADDRESS, OPERATOR_WORDS = 600, 32
@@ -150,7 +152,7 @@ RESULT_FIELDS = (
     _F(19, "handshake", "u16", "bits", "The station's answers, see Handshake bits", lambda p: p.snapshot.plc.answers),
     _F(20, "result_age_ms", "u32", "ms", "Time since the result was published", _age_ms),
     _F(22, "elapsed_us", "u32", "us", "Time the inspection of the frame took", lambda p: p.snapshot.elapsed_us),
-    _F(24, "cycle_us", "u32", "us", "Time the whole cycle took, from lamp to result", lambda p: p.snapshot.cycle_us),
+    _F(24, "cycle_us", "u32", "us", "Time the cycle took, from lamp to result", lambda p: p.snapshot.cycle_us),
     _F(26, "panels_passed", "u32", "count", "Results PASS since start", lambda p: p.snapshot.panels_passed),
     _F(28, "panels_failed", "u32", "count", "Results FAIL since start", lambda p: p.snapshot.panels_failed),
     _F(30, "panels_not_inspected", "u32", "count", "Results NOT_INSPECTED", lambda p: p.snapshot.panels_not_inspected),
@@ -171,6 +173,8 @@ RESULT_FIELDS = (
     _F(54, "panel_area_cm2", "u32", "cm2", "Of the result's panel seen, where it has several frames; else unknown",
        _area_cm2),
     _F(56, "store_waiting", "u16", "count", "Entries not yet on the disk", lambda p: p.snapshot.store_waiting),
+    _F(58, "response_us", "u32", "us", "Time from the trigger of the last frame until the result was shown",
+       lambda p: p.snapshot.response_us),
     _F(124, "sequence_end", "u16", "id", "Equals sequence; compare if read in pieces", lambda p: p.snapshot.sequence),
 )  # fmt: skip
 

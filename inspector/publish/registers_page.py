@@ -33,7 +33,6 @@ from inspector.publish.registers import (
     STATISTICS_REGISTERS,
     STATUS_MEANINGS,
     Register,
-    Status,
 )
 from inspector.publish.statistics_registers import (
     STATISTICS_ADDRESS,
@@ -57,7 +56,7 @@ STATE_MEANINGS = {
 EXCEPTIONS = (
     (1, "Unknown function"),
     (2, "Some address is outside every area, or is not writable"),
-    (3, "Count or value not allowed (a read takes 1 to 125 registers, reserved bits and words are written as 0)"),
+    (3, "Count or value not allowed (a read takes 1 to 125 registers or 2000 bits; reserved bits are written as 0)"),
     (4, "A fault of the station's own; see its log"),
     (6, "Busy: too many PANEL_START and PANEL_END wait for the cycle. Nothing was written; write it again"),
     (11, "Unit id not served here (0, 1 and 255 are, unless configured)"),
@@ -115,25 +114,27 @@ def as_markdown() -> str:
         first_listed=registers.LIST_ADDRESS + registers.FIRST_LIST_DEFECT,
         defect_words=registers.DEFECT_WORDS,
         types=_types(),
+        ready_coil=_coil("handshake", Answer.TRIGGER_READY),
+        trigger_coil=_coil("control", Control.TRIGGER),
         result=_markdown_table(COLUMNS, (tuple(row.values()) for row in as_rows(RESULT_REGISTERS))),
         control=_markdown_table(COLUMNS, (tuple(row.values()) for row in as_rows(CONTROL_REGISTERS))),
         listing=_markdown_table(COLUMNS, (tuple(row.values()) for row in as_rows(_shortened_list()))),
         statistics_address=STATISTICS_ADDRESS,
         statistics_words=STATISTICS_WORDS,
         statistics=_markdown_table(COLUMNS, (tuple(row.values()) for row in as_rows(STATISTICS_REGISTERS))),
-        statistics_bits=_meanings(STATISTICS_STATUS_MEANINGS),
+        statistics_bits=_bit_table("statistics_status", STATISTICS_STATUS_MEANINGS),
         rules=_meanings(RULE_MEANINGS),
         actions=_meanings(ACTION_MEANINGS),
         trends=_codes(Trend),
         spreads=_codes(Spread),
         verdicts=_codes(Verdict),
         states=_markdown_table(("code", "name", "meaning"), ((s.value, s.name, STATE_MEANINGS[s]) for s in State)),
-        status=_markdown_table(("bit", "name", "meaning"), ((_bit(b), b.name, STATUS_MEANINGS[b]) for b in Status)),
-        answers=_markdown_table(("bit", "name", "meaning"), ((_bit(b), b.name, ANSWER_MEANINGS[b]) for b in Answer)),
+        status=_bit_table("status", STATUS_MEANINGS),
+        answers=_bit_table("handshake", ANSWER_MEANINGS),
         operator_address=registers.OPERATOR_ADDRESS,
         operator_commands=" and ".join(command.name for command in OPERATOR_COMMANDS),
         operator=_markdown_table(COLUMNS, (tuple(row.values()) for row in as_rows(OPERATOR_REGISTERS))),
-        asked=_markdown_table(("bit", "name", "meaning"), ((_bit(b), b.name, CONTROL_MEANINGS[b]) for b in Control)),
+        asked=_bit_table("control", CONTROL_MEANINGS),
         commands=_markdown_table(
             ("code", "name", "meaning"), ((c.value, c.name, COMMAND_MEANINGS[c]) for c in Command)
         ),
@@ -173,11 +174,19 @@ def _bits(kind: type[enum.IntFlag]) -> str:
     return _markdown_table(("bit", "name"), ((_bit(flag), flag.name) for flag in kind))
 
 
+def _coil(register: str, bit: enum.IntFlag) -> int:
+    """The number by which a register's bit is read alone."""
+    return registers.REGISTER_BITS * next(row.address for row in REGISTERS if row.name == register) + _bit(bit)
+
+
+def _bit_table(register: str, meanings: Mapping[Any, str]) -> str:
+    rows = ((_bit(bit), _coil(register, bit), bit.name, meaning) for bit, meaning in meanings.items())
+    return _markdown_table(("bit", "coil", "name", "meaning"), rows)
+
+
 def _meanings(meanings: Mapping[Any, str]) -> str:
-    """Bits or codes with what each means."""
-    is_bits = isinstance(next(iter(meanings)), enum.IntFlag)
-    rows = ((_bit(m) if is_bits else m.value, m.name, meaning) for m, meaning in meanings.items())
-    return _markdown_table(("bit" if is_bits else "code", "name", "meaning"), rows)
+    """Codes with what each means."""
+    return _markdown_table(("code", "name", "meaning"), ((m.value, m.name, text) for m, text in meanings.items()))
 
 
 def _codes(kind: type[enum.IntEnum]) -> str:
@@ -240,6 +249,14 @@ others saturate at the range's end and set SATURATED_VALUE. 32-bit values lie hi
 
 {types}
 
+## Single bits
+For programs that work with coils: bit b of register r is coil and discrete input 16 * r + b. Functions 1 and 2 read the
+bits of every register here, both alike; 5 and 15 write those of the control block and leave its other bits as they are.
+The tables of bits below name each one's number (`coil`). Bits read one by one are not of one result: read the block.
+
+    mbpoll -m tcp -p PORT -0 -r {ready_coil} -t 1 -1 HOST         # TRIGGER_READY
+    mbpoll -m tcp -p PORT -0 -r {trigger_coil} -t 0 HOST 1          # TRIGGER
+
 ## Result block, address 0
 The {block_defects} highest defects come highest first; unused places are 0. A defect whose height could not be measured
 counts as the highest.
@@ -247,10 +264,10 @@ counts as the highest.
 {result}
 
 ## Control block, address {control_address}
-What the PLC writes, by functions 6, 16, 22 and 23: {control_words} registers, all 0 when the station starts, read back
-as written. Reserved bits and words must be 0. A PLC that only polls need not write anything: with zeros the station
-inspects by its own triggers. One client should write, and no more: the block has no owner. People have a block of their
-own, at {operator_address}.
+What the PLC writes, by functions 5, 6, 15, 16, 22 and 23: {control_words} registers, all 0 when the station starts,
+read back as written. Reserved bits and words must be 0. A PLC that only polls need not write anything: with zeros the
+station inspects by its own triggers. One client should write, and no more: the block has no owner. People have a block
+of their own, at {operator_address}.
 
 {control}
 
@@ -260,6 +277,10 @@ block's do, with the bits CLEAR_FAULT and EXECUTE and the commands {operator_com
 The two blocks know nothing of each other: a PLC that writes its whole block each cycle neither drops nor repeats what
 people ask for, and these can neither trigger nor take a result. Commands of both are carried out one after the other,
 in the order in which they came; `recipe_id` says which recipe a result was found by. A PLC never writes here.
+
+A recipe changed by people may come just behind a result, or between TRIGGER_READY and TRIGGER. To a PLC that buffers,
+or has acknowledged a result before, the one it has not acknowledged stays as it was found; to others its verdict is
+taken back to NOT_INSPECTED. A TRIGGER that comes while the lamp follows its new level is missed, and flagged.
 
 {operator}
 

@@ -62,6 +62,7 @@ def test_ticks_that_pass_during_a_cycle_are_missed_and_a_late_begin_is_counted()
     assert clock.missed == 3
     assert clock.due_s(100.35) == pytest.approx(100.4)
     clock.begins(100.48)
+    assert clock.came_s == pytest.approx(100.4)
     clock.ended(100.49, 100.49)
     assert (clock.missed, clock.late) == (3, 1)
 
@@ -73,7 +74,7 @@ def test_of_calls_one_counts_and_those_during_a_cycle_are_missed() -> None:
     assert calls.due_s(10.2) == 10.0
     assert calls.missed == 1
     calls.begins(10.2)
-    assert calls.late == 1
+    assert (calls.late, calls.came_s) == (1, 10.0)
     assert calls.missed_before == 0  # the other came after it
     assert calls.due_s(10.2) == 10.0
     calls.ended(10.4, 10.4)
@@ -105,6 +106,7 @@ def test_an_input_begins_a_cycle_when_it_comes_on_and_not_while_it_stays_on() ->
     assert looked(trigger, [0.15, 0.16]) == math.inf
     assert trigger.due_s(0.17) == 0.17
     trigger.begins(0.171)
+    assert trigger.came_s == 0.14, "since then it may have been on"
     trigger.glance()
     trigger.ended(0.3, 0.3)
     assert looked(trigger, [0.31, 0.4]) == math.inf
@@ -140,9 +142,10 @@ def test_frames_that_nobody_took_were_missed() -> None:
     line = Line(LATE_S)
     line.passed_over(3)  # before the first: of no line that is known
     for frame_id in (7, 8, 11, 1):
-        line.took(frame_id)
+        line.took(frame_id, 1.0)
     assert (line.missed, line.missed_before) == (2, 2)
     line.passed_over(2)
     assert line.missed == 4
-    line.took(5)
-    assert line.missed == 5
+    line.begins(1.0)
+    line.took(5, 1.5)
+    assert (line.missed, line.came_s) == (5, 1.5)

@@ -6,6 +6,7 @@ import itertools
 import re
 import subprocess
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ import numpy.typing as npt
 import pytest
 from flat_out import FlatOut, derived
 
-from inspector.model import Defect, Flag, Reason, Snapshot, State, Verdict
+from inspector.handshake_table import Answer
+from inspector.model import Defect, Flag, PlcSide, Reason, Snapshot, State, Verdict
 from inspector.publish.plc_server import PlcServer
 from inspector.publish.registers import RESULT_WORDS, decode, encode
 
@@ -99,6 +101,12 @@ def test_mbpoll_reads_what_was_published(server: PlcServer, mbpoll: Callable[...
     assert mbpoll(16, "-t", f"{table}:int", "-B") == ["70000"]
 
 
+@pytest.mark.parametrize("table", ["0", "1"])
+def test_mbpoll_reads_single_bits(server: PlcServer, mbpoll: Callable[..., list[str]], table: str) -> None:
+    server.publish(replace(RESULT, plc=PlcSide(int(Answer.ONLINE | Answer.TRIGGER_ACK), 0, 0, 0)))
+    assert mbpoll(304, "-t", table, "-c", "4") == ["1", "0", "1", "0"]
+
+
 def test_pymodbus_reads_what_was_published(server: PlcServer) -> None:
     from pymodbus.client import ModbusTcpClient
 
@@ -108,6 +116,9 @@ def test_pymodbus_reads_what_was_published(server: PlcServer) -> None:
         assert client.connect()
         block = client.read_input_registers(0, count=RESULT_WORDS).registers
         listed = client.read_holding_registers(1000, count=20).registers
+        bits = [client.read_coils(16 * 6, count=3).bits[:3], client.read_discrete_inputs(16 * 6, count=3).bits[:3]]
+        identity = [client.read_device_information(read_code=level).information for level in (1, 2, 3)]
+        alone = client.read_device_information(read_code=4, object_id=2).information
         refused = client.read_holding_registers(RESULT_WORDS, count=1)
         written = client.write_register(0, 1)
     finally:
@@ -115,6 +126,9 @@ def test_pymodbus_reads_what_was_published(server: PlcServer) -> None:
     assert decode(block)["panel_id"] == 70000
     assert decode(listed, 1000)["list_defect_2_height_um"] == 642
     assert (refused.exception_code, written.exception_code) == (2, 2)
+    assert bits == [[False, True, False]] * 2, "verdict FAIL"
+    assert [sorted(told) for told in identity] == [[0, 1, 2], [0, 1, 2, 4, 5], [0, 1, 2, 4, 5]]
+    assert (identity[0][0], identity[1][5], alone) == (b"seed-inspector", b"register map 1", {2: identity[0][2]})
 
 
 @pytest.mark.usefixtures("threads_alternate")

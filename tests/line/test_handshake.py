@@ -56,6 +56,23 @@ def test_a_result_that_is_held_keeps_what_it_was_made_by() -> None:
     assert (line.shown.recipe_id, line.shown.simulated, line.shown.verdict) == (2, False, Verdict.NOT_INSPECTED)
 
 
+def test_without_buffering_too_a_plc_that_acknowledges_sees_a_result_as_it_was_found_until_it_has() -> None:
+    line = Line()
+    line.live = replace(line.live, recipe_id=1)
+    line.result(Verdict.FAIL)
+    line.live = replace(line.live, recipe_id=2, verdict=Verdict.NOT_INSPECTED)
+    assert (line.shown.recipe_id, line.shown.verdict) == (2, Verdict.NOT_INSPECTED), "nobody says that it was taken"
+    line.acknowledge(1)
+    line.result(Verdict.FAIL)
+    line.live = replace(line.live, recipe_id=3, verdict=Verdict.NOT_INSPECTED)
+    assert (line.shown.recipe_id, line.shown.verdict) == (2, Verdict.FAIL)
+    line.live = replace(line.live, state=State.ERROR, fault_code=301)
+    assert line.shown.verdict == Verdict.NOT_INSPECTED
+    line.live = replace(line.live, state=State.READY, fault_code=0)
+    line.acknowledge(2)
+    assert (line.shown.recipe_id, line.shown.verdict) == (3, Verdict.NOT_INSPECTED)
+
+
 def test_every_step_event_and_action_is_used_and_every_step_can_be_left() -> None:
     assert {event for _, event in TABLE} == set(Event)
     assert {step for step, _ in TABLE} == {step for step, _ in TABLE.values()} == set(Step)

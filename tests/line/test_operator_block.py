@@ -95,6 +95,48 @@ def test_a_plc_that_writes_its_block_each_cycle_takes_nothing_back(
     assert (operator.read()["operator_argument"], at.plc.read(500, 16)["command_argument"]) == (2, 0)
 
 
+def test_a_verdict_that_the_plc_has_not_yet_taken_outlasts_a_recipe_changed_by_people(
+    line: Callable[..., Line], people: Callable[[Line], Operator]
+) -> None:
+    """Without BUFFER_RESULTS. The command waits behind the cycle, so no PLC could have read the result before it."""
+    at = line(recipe=1, recipes=RECIPES)
+    operator = people(at)
+    for sequence, recipe in ((1, 2), (2, 3)):
+        at.until_set(Answer.TRIGGER_READY)
+        at.control(Control.TRIGGER, 0, 0, 70 + sequence)
+        at.until(lambda r: r["state"] == State.SINGLE_EXECUTION, "inspecting")
+        at.control()
+        operator.write(Control.EXECUTE, Command.CHANGE_RECIPE, recipe)
+        at.station.camera.permits.release()
+        operator.answered(ENDED)
+        operator.write()
+        result = at.until_set(Answer.RESULT_AVAILABLE)
+        told = (result["sequence"], result["panel_id"], result["recipe_id"], result["verdict"])
+        if sequence == 2:
+            assert told == (2, 72, 2, Verdict.PASS)
+        at.control(Control.RESULTS_ACK, sequence)
+        after = at.until_off(Answer.RESULT_AVAILABLE)
+        assert (after["recipe_id"], after["verdict"]) == (recipe, Verdict.NOT_INSPECTED)
+        at.control()
+
+
+def test_a_trigger_while_the_lamp_follows_a_recipe_changed_by_people_is_missed_and_flagged(
+    line: Callable[..., Line], people: Callable[[Line], Operator]
+) -> None:
+    """The PLC may have read TRIGGER_READY just before."""
+    brighter = [{"id": 1, "name": "one", "lamp_percent": 40}, {"id": 2, "name": "two", "lamp_percent": 60}]
+    at = line(recipe=1, recipes=brighter, lamp={"settle_s": 60})
+    operator = people(at)
+    at.until_set(Answer.TRIGGER_READY)
+    assert operator.execute(Command.CHANGE_RECIPE, 2) == CommandResult.DONE
+    settles = at.until_off(Answer.TRIGGER_READY)
+    at.control(Control.TRIGGER)
+    missed = at.until_set(Answer.TRIGGER_MISSED)
+    assert (missed["missed_triggers"], missed["sequence"], missed["recipe_id"]) == (1, 0, 2)
+    assert Answer.TRIGGER_ACK not in Answer(missed["handshake"])
+    assert settles["sequence"] == 0
+
+
 def test_a_trigger_that_rises_while_people_change_the_recipe_is_inspected_by_the_new_one(
     line: Callable[..., Line], people: Callable[[Line], Operator], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -75,13 +76,17 @@ def test_each_trigger_is_one_result_with_the_panels_id(line: Callable[..., Line]
     at = line()
     for sequence, panel_id in ((1, 7), (2, 0x10002), (3, 9)):
         at.until_set(Answer.TRIGGER_READY)
+        before_s = time.monotonic()
         at.control(Control.TRIGGER, 0, panel_id >> 16, panel_id & 0xFFFF)
+        triggered_s = time.monotonic()
         taken = at.until_set(Answer.TRIGGER_ACK)
         assert Answer.TRIGGER_READY not in Answer(taken["handshake"])
         at.control()
         at.until(lambda r: r["state"] == State.SINGLE_EXECUTION, "inspecting")
+        inspecting_s = time.monotonic()
         at.station.camera.permits.release()
         result = at.until(lambda r, n=sequence: r["sequence"] == n, "result")
+        assert inspecting_s - triggered_s <= 1e-6 * result["response_us"] + 1e-6 <= time.monotonic() - before_s + 2e-6
         assert (result["verdict"], result["panel_id"]) == (Verdict.PASS, panel_id)
         assert Answer.RESULT_AVAILABLE in Answer(result["handshake"])
     assert at.until_set(Answer.TRIGGER_READY)["state"] == State.READY

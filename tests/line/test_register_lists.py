@@ -38,7 +38,7 @@ SHOWN = Snapshot(
     state=State.READY, fault_code=0, sequence=0x1_0102, acquisition_id=0x2_0103, panel_id=0x3_0104, panel_frames=105,
     frames_so_far=106, extent=Extent(10.7), recipe_id=108, verdict=Verdict.FAIL, reasons=Reason(0x0003_0005),
     defects=tuple(seed(number) for number in range(1, 65)), unpaired_count=109, result_at_s=0.0, elapsed_us=200_110,
-    cycle_us=200_111, panels_passed=200_112, panels_failed=200_113, panels_not_inspected=200_114,
+    cycle_us=200_111, response_us=200_125, panels_passed=200_112, panels_failed=200_113, panels_not_inspected=200_114,
     missed_triggers=200_115, late_triggers=200_116, overruns=200_117, lamp_set_v=3.118, lamp_read_v=3.119, lamp_ok=True,
     camera_ok=True, exposure_us=200_120, configuration_hash=0x4_0121, recipe_hash=0x5_0122, statistics=STATISTICS,
     plc=PlcSide(0x0013, 123, 2, 3, control=(4, 6, 7, 8, 9, 0, 10, 11)), statistics_sequence=124,

@@ -11,7 +11,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { OWN = 4, LONGEST = 125, ABSENT = 200 };
+enum { OWN = 4, LONGEST = 125, ABSENT = 200, BITS = 16 };
 
 static char kind[65536];
 static uint16_t value[65536];
@@ -36,11 +36,16 @@ static void check_own(long request, int control, const uint16_t *words) {
     if (memcmp(words, own, sizeof own)) fail(request, "not as written", control);
 }
 
+static void check_own_bits(long request, int control, const uint8_t *bits) {
+    for (int i = 0; i < OWN * BITS; i++)
+        if (bits[i] != (own[i / BITS] >> i % BITS & 1)) fail(request, "bit not as written", control * BITS + i);
+}
+
 static int ask(modbus_t *client, long i, int control) {
     uint16_t words[LONGEST];
-    uint8_t bits[8];
+    uint8_t bits[OWN * BITS];
     int at = (int)(i * 7 % 100), count = 1 + (int)(i % 25);
-    switch (i % 8 < 7 ? i % 7 : 7 + i / 8 % 6) {
+    switch (i % 8 < 7 ? i % 7 : 7 + i / 8 % 8) {
     case 0:
     case 1:
         if (modbus_read_input_registers(client, 0, LONGEST, words) != LONGEST) fail(i, "read", 0);
@@ -81,9 +86,23 @@ static int ask(modbus_t *client, long i, int control) {
             fail(i, "write and read", control);
         check_own(i, control, words);
         break;
+    case 11:
+        for (int k = 0; k < 20; k++) bits[k] = (uint8_t)(i >> k & 1);
+        for (int k = 0; k < 20; k++)
+            own[1 + (k + 3) / BITS] = (uint16_t)((own[1 + (k + 3) / BITS] & ~(1 << (k + 3) % BITS)) | bits[k] << (k + 3) % BITS);
+        if (modbus_write_bits(client, (control + 1) * BITS + 3, 20, bits) != 20) fail(i, "write bits", control + 1);
+        if (modbus_read_input_bits(client, control * BITS, OWN * BITS, bits) != OWN * BITS) fail(i, "read", control);
+        check_own_bits(i, control, bits);
+        return 2;
+    case 12:
+        own[0] ^= 0x0080;
+        if (modbus_write_bit(client, control * BITS + 7, own[0] >> 7 & 1) != 1) fail(i, "write bit", control);
+        if (modbus_read_bits(client, control * BITS, OWN * BITS, bits) != OWN * BITS) fail(i, "read bits", control);
+        check_own_bits(i, control, bits);
+        return 2;
     default:
         if (modbus_read_registers(client, ABSENT, 1, words) != -1 || errno != EMBXILADD) fail(i, "no refusal", ABSENT);
-        if (modbus_read_bits(client, 0, 1, bits) != -1 || errno != EMBXILADD) fail(i, "no refusal", 0);
+        if (modbus_read_bits(client, ABSENT * BITS, 1, bits) != -1 || errno != EMBXILADD) fail(i, "no refusal", 0);
         return 2;
     }
     return 1;

@@ -9,7 +9,7 @@ import net from "node:net";
 
 const [library, port, requests, template, control, folder] = process.argv.slice(2);
 const require = createRequire(folder + "/");
-const OWN = 4, LONGEST = 125, ABSENT = 200, ILLEGAL_ADDRESS = 2;
+const OWN = 4, BITS = 16, LONGEST = 125, ABSENT = 200, ILLEGAL_ADDRESS = 2;
 const first = Number(control);
 
 const rows = fs.readFileSync(template, "utf8").trim().split("\n").map((line) => line.split(" "));
@@ -31,6 +31,10 @@ async function modbusSerial() {
   return {
     input: async (a, c) => (await client.readInputRegisters(a, c)).data,
     holding: async (a, c) => (await client.readHoldingRegisters(a, c)).data,
+    coils: async (a, c) => (await client.readCoils(a, c)).data,
+    inputs: async (a, c) => (await client.readDiscreteInputs(a, c)).data,
+    writeCoil: (a, bit) => client.writeCoil(a, bit),
+    writeCoils: (a, bits) => client.writeCoils(a, bits),
     write: (a, words) => client.writeRegisters(a, words),
     writeOne: (a, word) => client.writeRegister(a, word),
     code: (error) => error.modbusCode,
@@ -51,6 +55,10 @@ async function jsmodbus() {
   return {
     input: async (a, c) => words(await client.readInputRegisters(a, c)),
     holding: async (a, c) => words(await client.readHoldingRegisters(a, c)),
+    coils: async (a, c) => words(await client.readCoils(a, c)),
+    inputs: async (a, c) => words(await client.readDiscreteInputs(a, c)),
+    writeCoil: (a, bit) => client.writeSingleCoil(a, bit),
+    writeCoils: (a, bits) => client.writeMultipleCoils(a, bits),
     write: (a, values) => client.writeMultipleRegisters(a, values),
     writeOne: (a, word) => client.writeSingleRegister(a, word),
     code: (error) => error.response?.body?.code,
@@ -68,11 +76,24 @@ function check(request, address, count, words) {
   });
 }
 
+function setOwn(at, bits) {
+  bits.forEach((bit, i) => {
+    const [k, b] = [Math.floor((at + i) / BITS), (at + i) % BITS];
+    own[k] = bit ? own[k] | (1 << b) : own[k] & ~(1 << b);
+  });
+}
+
+function checkOwn(request, bits) {
+  for (let i = 0; i < OWN * BITS; i++) {
+    if (Boolean(bits[i]) !== Boolean((own[Math.floor(i / BITS)] >> (i % BITS)) & 1)) fail(request, "bit not as written", i);
+  }
+}
+
 const client = await { "modbus-serial": modbusSerial, jsmodbus }[library]();
 const own = [0, 0, 0, 0];
 async function ask(i) {
   const at = (i * 7) % 100, count = 1 + (i % 25);
-  switch (i % 8 < 7 ? i % 5 : 5 + Math.floor(i / 8) % 3) {
+  switch (i % 8 < 7 ? i % 5 : 5 + Math.floor(i / 8) % 5) {
     case 0: return check(i, 0, LONGEST, await client.input(0, LONGEST));
     case 1: return check(i, 0, LONGEST, await client.holding(0, LONGEST));
     case 2: return check(i, 1000, LONGEST, await client.holding(1000, LONGEST));
@@ -87,6 +108,18 @@ async function ask(i) {
       const code = await client.holding(ABSENT, 1).then(() => 0, client.code);
       if (code !== ILLEGAL_ADDRESS) fail(i, `answer ${code}, not a refusal`, ABSENT);
       return undefined;
+    }
+    case 8: {
+      const bits = Array.from({ length: 20 }, (_, k) => ((i >> k) & 1) === 1);
+      setOwn(BITS + 3, bits);
+      await client.writeCoils(first * BITS + BITS + 3, bits);
+      return checkOwn(i, await client.inputs(first * BITS, OWN * BITS));
+    }
+    case 9: {
+      const bit = (own[0] & 0x80) === 0;
+      setOwn(7, [bit]);
+      await client.writeCoil(first * BITS + 7, bit);
+      return checkOwn(i, await client.coils(first * BITS, OWN * BITS));
     }
     default: {
       const words = await client.holding(first, OWN);

@@ -53,9 +53,9 @@ class Station:
 
 
 WRITES = (
-    "05 01f4 ff00",
+    "05 1f40 ff00",
     "06 01f4 0001",
-    "0f 01f4 0001 01 01",
+    "0f 1f40 0001 01 01",
     "10 01f4 0001 02 0001",
     "16 01f4 0000 0001",
     "17 0000 0001 01f4 0001 02 0001",
@@ -85,6 +85,26 @@ def test_a_writer_writes_the_control_block_and_everybody_reads_it(start: Start) 
         assert ask(reader, "01 04 01f5 0001") == "01 04 02 56 01"
         assert ask(writer, "01 17 01f5 0001 01f5 0001 02 0002") == "01 17 02 00 02"
     assert station.written == [(500, (0x1234, 0x5678)), (501, (0x5601,)), (501, (2,))]
+
+
+def test_coils_are_the_control_blocks_bits_and_leave_the_others_as_they_are(start: Start) -> None:
+    """Coil 8000 is bit 0 of register 500: functions 1, 2, 5 and 15."""
+    station = Station()
+    station.server = start(on_control=station.take)
+    with connect(station.server) as writer:
+        assert ask(writer, "01 10 01f4 0002 04 0004 8001") == "01 10 01 f4 00 02"
+        assert ask(writer, "01 05 1f40 ff00") == "01 05 1f 40 ff 00"
+        assert ask(writer, "01 03 01f4 0002") == "01 03 04 00 05 80 01"
+        assert ask(writer, "01 05 1f42 0000") == "01 05 1f 42 00 00"
+        assert ask(writer, "01 0f 1f4c 0008 01 5a") == "01 0f 1f 4c 00 08"
+        assert ask(writer, "01 03 01f4 0002") == "01 03 04 a0 01 80 05"
+        for function in ("01", "02"):
+            assert ask(writer, f"01 {function} 1f40 0020") == f"01 {function} 04 01 a0 05 80"
+            assert ask(writer, f"01 {function} 1f4f 0003") == f"01 {function} 01 03"
+        before = list(station.written)
+        for outside in ("05 1f3f ff00", "05 2040 ff00", "0f 203f 0002 01 03", "0f 1f3f 0002 01 03", "05 0130 ff00"):
+            assert ask(writer, f"01 {outside}") == f"01 {int(outside[:2], 16) | 0x80:02x} 02"
+    assert station.written == before
 
 
 @pytest.mark.parametrize("write", ["06 01f3 0001", "06 0204 0001", "10 0203 0002 04 0001 0001", "06 0000 0001"])
