@@ -122,7 +122,8 @@ def _sunk(
     )
     ends = ((pairs.rays[d], pairs.rays[m]), (spots.covariance_px2[d], spots.covariance_px2[m]))
     height_mm, sigma_mm, share = sunk_heights_mm(*ends, some, calibration)
-    taken = (share > LEAST_SHARE) & (share < 1) & np.isfinite(sigma_mm)
+    # Radius and centre may both come out below zero, in a share that looks right: that is no seed.
+    taken = (share > LEAST_SHARE) & (share < 1) & np.isfinite(sigma_mm) & (height_mm > 0)
     height_um[apart[taken]] = height_mm[taken] * calibration.height_gain * UM_PER_MM
     sigma_um[apart[taken]] = sigma_mm[taken] * calibration.height_gain * UM_PER_MM
     flags[apart[taken]] = SUNK

@@ -9,9 +9,10 @@ import pytest
 from spot_lists import seen
 from views import View, seeds_at
 
+from inspector import reflection
 from inspector.detect.pairs import pair
 from inspector.estimate.heights import measure
-from inspector.model import Defect, Flag, FloatArray, Highlights
+from inspector.model import Defect, Flag, FloatArray, HighlightPairs, Highlights
 from inspector.optics import Calibration
 
 CALIBRATION = View().calibration
@@ -68,6 +69,22 @@ def test_a_sunk_seed_is_told_apart_from_noise() -> None:
     assert len(defects) == 4
     told = [d.flags & (Flag.SUNK | Flag.INCONSISTENT) or (d.residual_sigma or 0) > 3 for d in defects]
     assert sum(map(bool, told)) >= 2
+
+
+def test_a_sunk_seed_of_negative_size_is_none() -> None:
+    """Two spots that no seed explains well: of a sunk one both radius and centre would lie below zero."""
+    camera = replace(CALIBRATION.camera, width_px=45, height_px=39, cx_px=22.5, cy_px=19.5)
+    calibration = replace(CALIBRATION, camera=camera)
+    two = replace(
+        spots(SEEDS[:1]),
+        xy_px=np.array([[6.553, 30.549], [41.859, 5.432]]),
+        covariance_px2=np.array([[[0.5841, 0.0189], [0.0189, 0.0815]], [[0.2932, -0.5726], [-0.5726, 1.7043]]]),
+    )
+    first, none = np.array([0]), np.array([], np.intp)
+    pairs = HighlightPairs(first, first + 1, none, first, none, reflection.rays(camera, two.xy_px))
+    (defect,) = measure(two, pairs, calibration, "exact")[0]
+    assert defect.height_um > 0
+    assert defect.flags == Flag.INCONSISTENT
 
 
 def test_no_spots_no_defects() -> None:
