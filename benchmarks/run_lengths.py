@@ -98,6 +98,9 @@ def mean_length(lengths: Sequence[int]) -> str:
     return f"{mark}{fmean(lengths):.{digits}f} ± {stdev(lengths) / math.sqrt(len(lengths)):.{digits}f}"
 
 
+# Lucas and Crosier 1982, table 1: two-sided CUSUM, k = 0.5, h = 4, without and with h/2 to begin; shift and run length.
+# Lucas and Saccucci 1990, as in Montgomery's table 9.11: weight 0.1, width 2.814, limits constant.
+# Champ and Woodall, Technometrics 29 (1987) 393-399: Shewhart charts with one more rule, no shift.
 LUCAS_CROSIER = {0: 168, 0.5: 26.6, 1: 8.38, 2: 3.34}, {0: 149, 0.5: 20.1, 1: 5.29, 2: 2.01}
 LUCAS_SACCUCCI = {0: 500, 0.5: 31.3, 1: 10.3, 2: 4.4}
 PUBLISHED: list[tuple[str, Callable[[], Signal], dict[float, float]]] = [
@@ -108,6 +111,7 @@ PUBLISHED: list[tuple[str, Callable[[], Signal], dict[float, float]]] = [
     ("run rules 1 and 5", lambda: runs_signal(1, 5), {0: 225.44}),
     ("run rules 1 and 6", lambda: runs_signal(1, 6), {0: 166.05}),
 ]
+"""Charts with their published run lengths by shift; the tests hold the service's charts to them too."""
 
 
 def published() -> None:
