@@ -84,7 +84,14 @@ def test_a_writer_writes_the_control_block_and_everybody_reads_it(start: Start) 
         assert ask(writer, "01 16 01f5 ff00 0001") == "01 16 01 f5 ff 00 00 01"
         assert ask(reader, "01 04 01f5 0001") == "01 04 02 56 01"
         assert ask(writer, "01 17 01f5 0001 01f5 0001 02 0002") == "01 17 02 00 02"
-    assert station.written == [(500, (0x1234, 0x5678)), (501, (0x5601,)), (501, (2,))]
+        assert ask(writer, "01 17 0000 0002 01f6 0001 02 0003") == "01 17 04 00 00 00 01", (
+            "one area read, another written"
+        )
+        assert ask(writer, "01 17 03e8 0001 01f6 0001 02 0004") == "01 17 02 00 00"
+        assert ask(writer, "01 17 007c 0002 01f6 0001 02 0005") == "01 97 02", "and nothing written"
+        assert ask(reader, "01 03 01f4 0003") == "01 03 06 12 34 00 02 00 04"
+    written = [(500, (0x1234, 0x5678)), (501, (0x5601,)), (501, (2,)), (502, (3,)), (502, (4,))]
+    assert station.written == written
 
 
 def test_coils_are_the_control_blocks_bits_and_leave_the_others_as_they_are(start: Start) -> None:
