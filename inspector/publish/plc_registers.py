@@ -24,16 +24,18 @@ before it returns, or refuses by raising a ModbusError. Called in any thread of 
 class ServedRegisters:
     """What is published as a Modbus data model: holding registers mirror input registers; the blocks of control words
     can be written. Without ``on_control`` nothing can. ``writing``: a lock that may be taken twice, held while bits are
-    read and written back, and in each write; for those who write in several threads.
+    read and written back, and in each write; None: all
+    writes come in one thread.
     """
 
     def __init__(
         self,
         published: PublishedImage,
         on_control: OnControl | None = None,
-        writing: AbstractContextManager[object] = nullcontext(),  # noqa: B008 (it has no state)
+        writing: AbstractContextManager[object] | None = None,
     ) -> None:
-        self._published, self._on_control, self._writing = published, on_control, writing
+        self._published, self._on_control = published, on_control
+        self._writing = writing or nullcontext()
 
     def read_registers(self, table: Table, address: int, count: int) -> bytes:
         """From one image, so never torn."""
