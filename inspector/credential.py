@@ -19,23 +19,24 @@ STORE = Path("/etc/credstore")
 
 
 def _found(path: Path) -> Path:
-    """The credential's file for ``credential:NAME``, any other path as it is. Raises ValueError if there is none.
+    """The credential's file for ``credential:NAME``, any other path as it is. Raises ValueError.
 
-    Outside of a service it is the file that systemd would hand over, so that root can check settings.
+    Outside of a service it is the file that systemd would hand over, so that root can check settings. Whether it is
+    there is not looked at: other users' programs read the settings too.
     """
     if not str(path).startswith(PREFIX):
         return path
     name = str(path).removeprefix(PREFIX)
-    if Path(name).name != name:
+    if Path(name).name != name or not name:
         raise ValueError(f"allowed: {PREFIX}NAME, without a folder")
-    file = Path(os.environ.get(FOLDER) or STORE, name)
-    if not os.path.isfile(file):
-        raise ValueError(f"there is no such credential; allowed: a path, or a unit with {_remedy(name)}")
-    return file
+    return Path(os.environ.get(FOLDER) or STORE, name)
 
 
-def _remedy(name: str) -> str:
-    return f"LoadCredential={name or 'NAME'} and the file {STORE / (name or 'NAME')}"
+def remedy(file: Path) -> str:
+    """What makes a secret's file one that the service may read."""
+    if is_credential(file) or file.parent == STORE:
+        return f"a unit with LoadCredential={file.name} and the file {STORE / file.name}"
+    return "give a file that the service may read"
 
 
 def is_credential(file: Path) -> bool:

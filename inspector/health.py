@@ -48,7 +48,7 @@ def _run_by_settings(config: Path) -> int:
     from inspector.settings import SettingsError, load
 
     try:
-        plc = load(config).plc
+        plc = load(config, secrets=False).plc
     except SettingsError as error:
         typer.echo(f"settings refused: {error}", err=True)
         return EXIT_SETTINGS_REFUSED

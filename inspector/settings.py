@@ -179,8 +179,11 @@ def load_devices(path: Path) -> DeviceSettings:
     return devices
 
 
-def load(path: Path) -> Settings:
-    """The settings in a file, with its calibration file looked through. Raises SettingsError with every problem."""
+def load(path: Path, *, secrets: bool = True) -> Settings:
+    """The settings in a file, with its calibration file looked through. Raises SettingsError with every problem.
+
+    ``secrets``: whether the service's are looked through too; who only reads the settings has no right to them.
+    """
     document, choice = _with_recipes(_with_lamp_curve(yaml_document.read(path), path.parent), path.parent)
     document = _with_actions(document, path.parent)
     settings, problems = yaml_document.validate(document, Settings)
@@ -194,7 +197,8 @@ def load(path: Path) -> Settings:
         problems += tuple(_recipe_problems(document, settings, path.parent))
         problems += (*_pace_problems(document, settings), *_trigger_problems(document, settings))
         problems += tuple(_panel_problems(document, settings, path.parent))
-        problems += (*_patch_problems(document, settings, path.parent), *_tls_problems(document, settings, path.parent))
+        problems += tuple(_patch_problems(document, settings, path.parent))
+        problems += tuple(_tls_problems(document, settings, path.parent)) if secrets else ()
     if settings is None or problems:
         raise SettingsError(problems)
     return _drawn(settings.under(path.parent))

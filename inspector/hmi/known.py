@@ -44,7 +44,7 @@ class Settled:
                 return
             self._read_s = self._clock()
             try:
-                self._settings, self.why_stale = load(self._file), ""
+                self._settings, self.why_stale = load(self._file, secrets=False), ""
             except SettingsError as error:
                 self.why_stale = str(error.problems[0])
             self.known = _known(self._settings, self._texts)

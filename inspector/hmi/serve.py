@@ -40,7 +40,7 @@ def run(config: Path, host: str | None, port: int | None) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: ends.set())
     try:
-        settings = load(config)
+        settings = load(config, secrets=False)
         given = {name: value for name, value in (("host", host), ("port", port)) if value is not None}
         page = PageSettings(**(settings.page.model_dump() | given))
         words, problems = texts_file.load(page.texts_file)
@@ -90,7 +90,7 @@ def _link(settings: Settings, page: PageSettings) -> StationLink:
 def set_password(config: Path) -> int:
     """Ask for a password and keep it in the settings' file for it; the exit status."""
     try:
-        file = load(config).page.password_file
+        file = load(config, secrets=False).page.password_file
     except SettingsError as error:
         print(error, file=sys.stderr)
         return EXIT_SETTINGS_REFUSED

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import ClassVar, Protocol
 
 from firmware_bridge.wire.modbus_frames import TcpSession
+from inspector import credential
 from inspector.publish.plc_connection import Connection, Ending
 
 ROLE_OID = bytes.fromhex("2b06010401 83890c 8622 01")
@@ -69,7 +70,7 @@ def _check_readable(name: str, path: Path) -> None:
         path.open("rb").close()
     except OSError as error:
         reason = os.strerror(error.errno) if error.errno else str(error)
-        raise TlsError(name, path, reason, "give a file that the service may read") from error
+        raise TlsError(name, path, reason, credential.remedy(path)) from error
 
 
 def _certificate_only(path: Path) -> None:

@@ -8,18 +8,37 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pydantic import ValidationError
+import yaml
 
 from inspector import credential
 from inspector.permissions import misfits
 from inspector.publish.plc_settings import TlsSettings
-from inspector.settings import load
+from inspector.settings import SettingsError, load
 
 CONFIG = Path(__file__).parents[2] / "config"
 
 
 def tls(key: str) -> TlsSettings:
     return TlsSettings.model_validate({"certificate": "a.pem", "key": key, "client_ca": "b.pem"})
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    """A settings file, its calibration and a key, all kept from others."""
+    shutil.copytree(CONFIG, tmp_path / "etc")
+    for path in (tmp_path / "etc").rglob("*"):
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    (tmp_path / "etc/plc.key").touch(0o600)
+    (tmp_path / "state").mkdir(0o700)
+    return tmp_path / "etc/demo.yaml"
+
+
+def with_tls(file: Path, key: str) -> Path:
+    """The settings file with this key; in the place of certificates is a file that can be read."""
+    settings = yaml.safe_load(file.read_text())
+    settings["plc"]["tls"] = {"certificate": file.name, "key": key, "client_ca": file.name}
+    file.write_text(yaml.safe_dump(settings))
+    return file
 
 
 def test_a_credential_is_the_file_that_systemd_handed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -36,19 +55,29 @@ def test_a_credential_is_the_file_that_systemd_handed_over(tmp_path: Path, monke
     ("name", "folder", "said"),
     [
         ("plc.key", None, "LoadCredential=plc.key and the file /etc/credstore/plc.key"),
-        ("other.key", "here", "no such credential"),
+        ("other.key", "here", "No such file or directory; allowed: a unit with LoadCredential=other.key"),
         ("../etc/shadow", "here", "without a folder"),
-        ("", "here", "no such credential"),
+        ("", "here", "without a folder"),
     ],
 )
 def test_a_credential_that_is_not_there_is_refused_with_the_remedy(
-    name: str, folder: str | None, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, folder: str | None, said: str, copied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv(credential.FOLDER, raising=False)
     if folder:
-        monkeypatch.setenv(credential.FOLDER, str(tmp_path))
-    with pytest.raises(ValidationError, match=said):
-        tls(f"credential:{name}")
+        monkeypatch.setenv(credential.FOLDER, str(copied.parent))
+    with pytest.raises(SettingsError, match=rf"plc\.tls\.key: .*{said}"):
+        load(with_tls(copied, f"credential:{name}"))
+
+
+@pytest.mark.parametrize("key", ["credential:plc.key", "not-there.key"])
+def test_who_only_reads_the_settings_needs_no_secret_of_the_services(
+    key: str, copied: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(credential.FOLDER, raising=False)
+    assert load(with_tls(copied, key), secrets=False).plc.tls is not None
+    with pytest.raises(SettingsError, match="without a folder"):
+        load(with_tls(copied, "credential:a/b"), secrets=False)
 
 
 def test_outside_of_a_service_it_is_the_file_that_systemd_would_hand_over(
@@ -58,17 +87,6 @@ def test_outside_of_a_service_it_is_the_file_that_systemd_would_hand_over(
     monkeypatch.delenv(credential.FOLDER, raising=False)
     monkeypatch.setattr(credential, "STORE", tmp_path)
     assert tls("credential:plc.key").key == tmp_path / "plc.key"
-
-
-@pytest.fixture
-def copied(tmp_path: Path) -> Path:
-    """A settings file, its calibration and a key, all kept from others."""
-    shutil.copytree(CONFIG, tmp_path / "etc")
-    for path in (tmp_path / "etc").rglob("*"):
-        path.chmod(0o755 if path.is_dir() else 0o644)
-    (tmp_path / "etc/plc.key").touch(0o600)
-    (tmp_path / "state").mkdir(0o700)
-    return tmp_path / "etc/demo.yaml"
 
 
 def found(file: Path, state: Path | None = None) -> list[tuple[Path, str]]:
