@@ -33,8 +33,10 @@ from inspector.publish.plc_server import PlcServer
 from inspector.settings import load
 from inspector.signals import Signals
 
-settings = load(Path(sys.argv[1]))
-front = Front(settings.model_copy(update={"plc": settings.plc.model_copy(update={"port": 0})}), Signals())
+settings, here = load(Path(sys.argv[1])), Path(sys.argv[2])
+plc = settings.plc.model_copy(update={"port": 0, "sequence_file": here / "sequence.json"})
+archive = settings.archive.model_copy(update={"folder": here})
+front = Front(settings.model_copy(update={"plc": plc, "archive": archive}), Signals())
 start = PlcServer.start
 PlcServer.start = lambda server: (start(server), needed.update(sys.modules))
 needed = set()
@@ -47,9 +49,9 @@ print(*sorted(needed), answer.hex(), sep="\\n")
 
 
 @pytest.mark.parametrize("file", ["demo.yaml", "line.yaml"])
-def test_nothing_heavy_is_imported_before_a_register_is_answered(file: str) -> None:
-    command = [sys.executable, "-c", START, str(CONFIG / file)]
+def test_nothing_heavy_is_imported_before_a_register_is_answered(file: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", START, str(CONFIG / file), str(tmp_path)]
     said = subprocess.run(command, stdout=subprocess.PIPE, text=True, timeout=60, check=True).stdout.split()
-    assert said[-1][:18] == "000100000005010302"  # then the sequence, which goes on after a demo
+    assert said[-1] == "0001000000050103020000"
     assert "inspector.publish.plc_server" in said
     assert not (HEAVY | LATER) & set(said)
