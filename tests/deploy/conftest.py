@@ -6,10 +6,11 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-SITE = "usr/lib/seed-inspector/lib/python3.11/site-packages"
+PEER_MISSING = "peer missing"
 BUILD = Path(__file__).parents[2] / "deploy/build_deb.py"
 
 
@@ -39,3 +40,22 @@ def unpacked(package: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("unpacked") / "tree"
     subprocess.run(["dpkg-deb", "--raw-extract", str(package), str(folder)], check=True, timeout=300)
     return folder
+
+
+@pytest.fixture(scope="session")
+def debian_files(peer: Callable[[str, str], str]) -> Path:
+    """The files of a clean Debian 12."""
+    import clean_debian
+
+    peer("debootstrap", "debootstrap")
+    try:
+        return clean_debian.files()
+    except clean_debian.CannotBeMade as error:
+        pytest.skip(f"{PEER_MISSING}: {error}")
+
+
+@pytest.fixture
+def machine(booted: Any) -> Any:
+    """A machine that has come up; nothing is installed."""
+    booted.boot()
+    return booted

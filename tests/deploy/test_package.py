@@ -2,111 +2,26 @@
 
 from __future__ import annotations
 
-import re
 import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
-
-from tests.deploy.conftest import SITE
-from tests.line.conftest import Plc
+from installed import SETTINGS, STATE, a_result, as_documented, at_version, changed, install, process, set_up
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(1200)]
 
-REPOSITORY = Path(__file__).parents[2]
-PEER_MISSING = "peer missing"
-SETTINGS = "etc/inspector/line.yaml"
-STATE = "var/lib/private/inspector"
-GOES_ON = 2
-"""Further results to see after a change."""
 NONE_FOUND = 1
 """Exit status of pgrep."""
+STRICTER = "    calibration: Path\n", "    site: str\n    calibration: Path\n"
+"""Settings that have to say something that no settings yet say."""
 
 
 @pytest.fixture(scope="module")
-def booted_files(peer: Callable[[str, str], str]) -> Path:
+def booted_files(debian_files: Path) -> Path:
     """A clean Debian 12, in place of this machine's files."""
-    import clean_debian
-
-    peer("debootstrap", "debootstrap")
-    try:
-        return clean_debian.files()
-    except clean_debian.CannotBeMade as error:
-        pytest.skip(f"{PEER_MISSING}: {error}")
-
-
-@pytest.fixture
-def machine(booted: Any) -> Any:
-    """A clean machine that has come up; nothing is installed."""
-    booted.boot()
-    return booted
-
-
-def at_version(unpacked: Path, version: str) -> Path:
-    """A package of the same tree under another version."""
-    control = unpacked / "DEBIAN/control"
-    control.write_text(re.sub(r"(?m)^Version: .*", f"Version: {version}", control.read_text()))
-    package = unpacked.parent / f"seed-inspector_{version}.deb"
-    pack = ["dpkg-deb", "--root-owner-group", "-Znone", "--build", str(unpacked), str(package)]
-    subprocess.run(pack, check=True, capture_output=True, timeout=300)
-    return package
-
-
-def stricter(unpacked: Path, version: str) -> Path:
-    """A package of a version whose settings have to say something that no settings yet say."""
-    settings = unpacked / SITE / "inspector/settings.py"
-    before = settings.read_text()
-    settings.write_text(before.replace("    calibration: Path\n", "    site: str\n    calibration: Path\n", 1))
-    for compiled in (settings.parent / "__pycache__").glob("settings.*.pyc"):
-        compiled.rename(unpacked.parent / compiled.name)
-    try:
-        return at_version(unpacked, version)
-    finally:
-        settings.write_text(before)
-        for compiled in unpacked.parent.glob("settings.*.pyc"):
-            compiled.rename(settings.parent / "__pycache__" / compiled.name)
-
-
-def install(machine: Any, package: Path, **options: Any) -> subprocess.CompletedProcess[str]:
-    """As a person does it, from a file, with nobody to answer a question."""
-    shutil.copy(package, machine.root / "srv/seed-inspector.deb")
-    apt = ["apt-get", "install", "--yes", "--allow-downgrades", "/srv/seed-inspector.deb"]
-    return machine.run("env", "DEBIAN_FRONTEND=noninteractive", *apt, timeout=300, stdin=subprocess.DEVNULL, **options)
-
-
-def set_up(machine: Any) -> None:
-    """What a person does next: a station's settings, here without hardware, and the service started."""
-    settings = yaml.safe_load((REPOSITORY / "config/simulated.yaml").read_text())
-    del settings["camera"]["faults"]
-    settings["plc"] = {"port": 502, "sequence_file": "/var/lib/inspector/sequence.json"}
-    (machine.root / SETTINGS).write_text(yaml.safe_dump(settings))
-    machine.run("inspector", "config", "check", f"/{SETTINGS}")
-    machine.run("systemctl", "enable", "--now", "inspector")
-
-
-def as_documented(machine: Any, what: str) -> None:
-    """Carry out the commands that follow these words in docs/install.md."""
-    page = (REPOSITORY / "docs/install.md").read_text()
-    commands = page.partition(what)[2].partition("\n\n    ")[2].partition("\n\n")[0]
-    machine.run("sh", "-e", "-c", f"cd /srv\n{commands}", timeout=300)
-
-
-def a_result(machine: Any, wait_until: Callable[..., Any], after: int = 0) -> int:
-    """The number of a judged result after another, as the PLC reads it."""
-    plc = machine.in_network(lambda: Plc(502))
-    try:
-        shown = plc.until(wait_until, lambda r: r["verdict"] and r["sequence"] > after + GOES_ON, "a verdict")
-        return int(shown["sequence"])
-    finally:
-        plc.close()
-
-
-def process(machine: Any) -> int:
-    return int(machine.run("systemctl", "show", "--property=MainPID", "--value", "inspector").stdout)
+    return debian_files
 
 
 def left_in(folder: Path) -> list[str]:
@@ -160,7 +75,7 @@ def test_another_version_takes_the_place_with_settings_and_state_kept_and_so_doe
 def test_a_version_that_refuses_the_settings_leaves_the_one_before_at_work(
     machine: Any, unpacked: Path, wait_until: Callable[..., Any]
 ) -> None:
-    old, new = at_version(unpacked, "1.0.0"), stricter(unpacked, "2.0.0")
+    old, new = at_version(unpacked, "1.0.0"), changed(unpacked, "2.0.0", "inspector/settings.py", *STRICTER)
     install(machine, old)
     set_up(machine)
     last, was = a_result(machine, wait_until), process(machine)

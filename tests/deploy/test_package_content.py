@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from installed import SITE
 from packaging.requirements import Requirement
-
-from tests.deploy.conftest import SITE
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(1800)]
 
