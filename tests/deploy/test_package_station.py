@@ -1,15 +1,18 @@
-"""A station from the package: the page beside a service with secrets."""
+"""A station from the package: the page beside a service with secrets, frames of 12 megapixels in its memory."""
 
 from __future__ import annotations
 
+import re
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import pytest
+import yaml
 from browser import Browser
-from installed import a_result, install, set_up
+from installed import STATE, a_result, install, set_up
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(1200)]
 
@@ -18,6 +21,11 @@ RECIPES = [
     {"id": 1, "name": "lenient", "limits": {"max_height_um": 3000}},
     {"id": 2, "name": "strict", "limits": {"max_height_um": 100}},
 ]
+WIDTH_PX = 4096
+MEMORY_MAX = 1 << 30
+"""Bytes, as the unit has it."""
+PANELS = 40
+"""Results of large frames, one after another."""
 
 
 @pytest.fixture(scope="module")
@@ -69,3 +77,37 @@ def test_the_page_shows_and_commands_a_station_whose_key_it_may_not_read(
     machine.run("systemctl", "restart", "inspector-page")
     wait_until(lambda: state()["verdict"]["name"] == "FAIL", "the page that was started again")
     assert property_of(machine, "inspector-page", "NRestarts") == "0"
+
+
+def with_large_frames(machine: Any, frames: Path) -> dict[str, Any]:
+    """A recorded frame and its calibration, as a sensor of 12 megapixels sees the same; the settings that name them."""
+    calibration = yaml.safe_load((frames / "calibration.yaml").read_text())
+    camera = calibration["camera"]
+    share = WIDTH_PX / camera["width_px"]
+    camera |= {"width_px": WIDTH_PX, "height_px": round(camera["height_px"] * share)}
+    camera |= {name: camera[name] * share for name in ("cx_px", "cy_px")}
+    camera |= {name: camera[name] / share for name in ("dx_mm", "dy_mm")}
+    (machine.root / "etc/inspector/calibration/large.yaml").write_text(yaml.safe_dump(calibration))
+    seen = cv2.imread(str(frames / "four_seeds.png"), cv2.IMREAD_GRAYSCALE)
+    image = cv2.resize(seen, (WIDTH_PX, camera["height_px"]), interpolation=cv2.INTER_CUBIC)
+    cv2.imwrite(str(machine.root / "etc/inspector/large.png"), image)
+    replay = {"kind": "replay", "paths": ["large.png"], "rate_hz": 4, "deadline_s": 10}
+    return {"calibration": "calibration/large.yaml", "camera": replay}
+
+
+def test_frames_of_12_megapixels_are_inspected_and_kept_in_the_memory_that_the_unit_allows(
+    machine: Any, package: Path, frames_folder: Path, wait_until: Callable[..., Any]
+) -> None:
+    install(machine, package)
+    frames = {"failing": True, "passing_every": 1, "last": 10, "most_mb": 500}
+    archive = {"folder": "/var/lib/inspector/archive", "frames": frames}
+    set_up(machine, archive=archive, **with_large_frames(machine, frames_folder))
+    wait_until(lambda: a_result(machine, wait_until) > PANELS, "results", 300)
+    assert property_of(machine, "inspector", "NRestarts") == "0"
+    assert property_of(machine, "inspector", "MemoryMax") == str(MEMORY_MAX)
+    images = list((machine.root / STATE / "archive").rglob("*.png"))
+    assert images
+    status = machine.run("cat", f"/proc/{property_of(machine, 'inspector', 'MainPID')}/status").stdout
+    (peak_kib,) = re.findall(r"VmHWM:\s+(\d+) kB", status)
+    print(f"\n{len(images)} images; resident at most {int(peak_kib) / 1024:.0f} MiB")
+    assert int(peak_kib) * 1024 < MEMORY_MAX / 2
