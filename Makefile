@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PYTEST_ARGS ?=
 
-.PHONY: help setup demo test soak lint check docs lock dist deb audit clean
+.PHONY: help setup demo test soak lint check docs manual lock dist deb audit clean
 
 help:  ## Show the targets.
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/'
@@ -43,6 +43,9 @@ docs: $(VENV)/run.stamp  ## Write again what is generated from the code.
 	$(BIN)/inspector export-columns > docs/export.md
 	$(BIN)/python -m inspector.metrics.dashboard dashboard > deploy/prometheus/dashboard.json
 	$(BIN)/python -m inspector.metrics.dashboard markdown > docs/metrics.md
+
+manual: $(VENV)/run.stamp  ## Build the manual, docs/README.md and what it leads to, as HTML: build/manual/index.html
+	$(BIN)/python deploy/build_manual.py
 
 dist: $(VENV)/run.stamp  ## Build source distribution and wheel into dist/; ARCH=arm64 for another machine than this.
 	$(BIN)/python deploy/build_wheel.py $(ARCH:%=--arch %)

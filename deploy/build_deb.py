@@ -17,6 +17,7 @@ import zipfile
 from importlib.metadata import Distribution, distributions
 from pathlib import Path
 
+import build_manual
 import build_wheel
 import sbom
 from build_wheel import DIST, MACHINES, REPOSITORY
@@ -120,13 +121,11 @@ def add_settings(root: Path) -> None:
 
 
 def add_documents(root: Path) -> None:
-    """Documents, the bill of materials, and the licence of every part."""
+    """The manual, as Markdown and as HTML, the bill of materials, and the licence of every part."""
     doc = root / DOC
     doc.mkdir(parents=True)
-    for name in ("README.md", "CHANGELOG.md"):
-        shutil.copy(REPOSITORY / name, doc)
-    for folder in ("docs", "deploy/plc"):
-        shutil.copytree(REPOSITORY / folder, doc / folder)
+    manual = build_manual.build(doc / "html")
+    build_manual.copy([*manual.pages, *manual.files], doc)
     (doc / "sbom.cdx.json").write_text(sbom.bill(root / SITE, NAME))
     parts = sorted(distributions(path=[str(root / SITE)]), key=sbom.name_of)
     said = [licences(part, root) for part in parts if sbom.name_of(part) != NAME]

@@ -215,7 +215,8 @@ ROWS = (
 def as_markdown() -> str:
     """The manual's page."""
     lines = [" | ".join(HEADINGS), " | ".join(["---"] * len(HEADINGS)), *(" | ".join(_cells(row)) for row in ROWS)]
-    return _PAGE.format(table="\n".join(f"| {line} |" for line in lines))
+    remedies = (f"| {fault.value} {fault.name} | {fault.meaning} | {fault.remedy} |" for fault in Fault if fault)
+    return _PAGE.format(remedies="\n".join(remedies), table="\n".join(f"| {line} |" for line in lines))
 
 
 def as_table() -> str:
@@ -258,8 +259,16 @@ _PLC_SEES = {
 _PAGE = """\
 # What goes wrong, and what is then true
 
-Made from `inspector/fault_table.py` by `inspector faults --format markdown`; a test fails when this page is stale.
-Codes, meanings and remedies are in deploy/plc/registers.md.
+Made from `inspector/faults.py` and `inspector/fault_table.py` by `inspector faults --format markdown`; a test fails when
+this page is stale.
+
+## What to do
+
+| code | meaning | what to do |
+| --- | --- | --- |
+{remedies}
+
+## How it shows and how it ends
 
 In each case the PLC sees it within one cycle and never an old PASS. The log says an outage once when it starts, as
 below ("…" stands for what differs), and once when it ends: "lamp works again after 12.3 s". Registers are served
