@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PYTEST_ARGS ?=
+# One more than there are processors: many tests wait for a process of theirs.
+WORKERS ?= $(shell expr $$(nproc) + 1)
 
 .PHONY: help setup demo test soak lint check docs manual lock dist deb audit clean
 
@@ -15,7 +17,7 @@ demo: $(VENV)/run.stamp  ## Set up and run the station on recorded frames; Ctrl-
 	$(BIN)/inspector run --config config/demo.yaml
 
 test: setup  ## Set up and pass the tests.
-	$(BIN)/pytest -n auto --dist loadgroup $(PYTEST_ARGS)
+	$(BIN)/pytest -n $(WORKERS) --dist loadgroup $(PYTEST_ARGS)
 
 lint: setup  ## Style, types and import rules.
 	$(BIN)/ruff check
@@ -25,7 +27,7 @@ lint: setup  ## Style, types and import rules.
 
 soak: setup  ## Pass the tests that take minutes: long runs, with devices that come and go; random examples, and more.
 	$(BIN)/pytest -m long $(PYTEST_ARGS)
-	$(BIN)/pytest -n auto --dist loadgroup --hypothesis-profile search
+	$(BIN)/pytest -n $(WORKERS) --dist loadgroup --hypothesis-profile search
 	FAULT_SEQUENCES=10000 RANDOM_STREAMS=200000 $(BIN)/pytest tests/bridge/test_fault_sequences.py \
 	  tests/line/test_capture_path.py tests/bridge/test_random_streams.py tests/bridge/test_random_camera_streams.py
 	CROWD_REQUESTS=100000 FUZZ_BYTES=10000000 $(BIN)/pytest tests/publish/test_plc_foreign_crowd.py \

@@ -99,4 +99,4 @@ def test_every_fault_that_can_be_asked_for_is_here() -> None:
         camera_of(faults=[{"kind": "none"}])
     offered = refused.value.errors()[0]["ctx"]["expected"]
     assert all(f"'{kind}'" in offered for kind in FAULTS)
-    assert offered.count("'") == 2 * 10
+    assert offered.count("'") == 2 * 11

@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 
 from inspector import journal_log
 from inspector.faults import Fault
-from inspector.front import log_problems
 from inspector.journal_log import JournalHandler, TextFormatter, encoded
+from inspector.last_good import log_problems
 from inspector.model import Reason, Snapshot, Verdict
 from inspector.publish.result_log import LogSettings, ResultLog
 from inspector.settings import SettingsError, load
