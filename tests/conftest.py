@@ -155,6 +155,28 @@ def booted(booted_files: Path, peer: Callable[[str, str], str], tmp_path: Path) 
         yield machine
 
 
+@pytest.fixture
+def disk(peer: Callable[[str, str], str]) -> Iterator[Any]:
+    """``disk(folder, size_mb, kind)``: a file system of its own; see support/disk.py. Skipped by name where none can be
+    had."""
+    from tests.support.disk import CannotMount, Disk
+
+    if os.geteuid() != 0:
+        pytest.skip(f"{PEER_MISSING}: root, who alone mounts a disk (sudo)")
+    with contextlib.ExitStack() as stack:
+
+        def make(folder: Path, size_mb: int = 64, kind: str = "ext4", *options: str) -> Disk:
+            peer(f"mkfs.{kind}", {"ext4": "e2fsprogs", "xfs": "xfsprogs"}[kind])
+            try:
+                made = Disk(folder, size_mb, kind, *options)
+            except CannotMount as error:
+                pytest.skip(f"no disk here: {error}")
+            stack.callback(made.close)
+            return made
+
+        yield make
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
     """Where REQUIRE_PEERS is set (CI), a test whose foreign peer is missing has failed."""

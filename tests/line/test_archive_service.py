@@ -48,29 +48,6 @@ def sequences(archive: Path) -> list[int]:
     return [row[0] for row in read(archive, "SELECT sequence FROM result ORDER BY id")]
 
 
-def test_a_killed_service_has_lost_nothing_that_the_plc_saw(
-    station: Any, archive: Path, module: Callable[[], ModuleServer], service: Callable[..., Any]
-) -> None:
-    module()
-    seen: list[int] = []
-    for _ in range(3):
-        one = service()
-        plc = one.plc()
-        registers = one.until(lambda r: r["sequence"] > max(seen, default=0) + 5 and r["verdict"], "five results more")
-        while True:
-            registers = plc.read()
-            if not registers["status"] & Status.STORE_DEGRADED:
-                seen.append(registers["sequence_u32"])
-            if len(set(seen)) % 10 == 9:
-                break
-        one.send(signal.SIGKILL)
-        one.ended()
-        assert set(seen) - {0} <= set(sequences(archive))
-    assert read(archive, "PRAGMA integrity_check") == [("ok",)]
-    assert read(archive, "SELECT count(*) FROM run WHERE ended_s IS NULL") == [(3,)]
-    assert sequences(archive) == sorted(set(sequences(archive)))
-
-
 def test_every_frame_kept_explains_its_result(
     station: Any, archive: Path, module: Callable[[], ModuleServer], service: Callable[..., Any]
 ) -> None:

@@ -1,0 +1,72 @@
+"""Frames flat out, with the archive on: nothing grows, and the same frame always has the same result."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import pytest
+
+from firmware_bridge.simulators.module_server import ModuleServer
+from inspector.archive.store import FILE
+from tests.line.conftest import Plc
+from tests.support.lives import Life
+
+SOAK_FRAMES = int(os.environ.get("SOAK_FRAMES", "5000"))
+LOOKS = 20
+GROWTH_BYTES = 2**20
+
+
+@pytest.mark.long
+@pytest.mark.timeout(300 + SOAK_FRAMES // 4)
+def test_nothing_grows_and_each_pass_finds_the_same(
+    station: Any, module: Callable[[], ModuleServer], wait_until: Callable[..., Any], tmp_path: Path
+) -> None:
+    module()
+    station.settings["archive"] = {"folder": "archive", "frames": {"min_free_mb": 0, "last": 0, "most_mb": 20}}
+    station.settings["camera"]["rate_hz"] = 0
+    station.write()
+    with Life(station.file, tmp_path / "output", wait_until) as life:
+        looks = list(_looks(life, wait_until))
+        life.stop()
+    resident, files, threads = zip(*looks, strict=True)
+    assert max(resident[1:]) < resident[0] + GROWTH_BYTES, looks
+    assert max(threads) == min(threads), looks
+    assert max(files) <= min(files) + 4, looks  # an image, its folder, an index and a log that are open at the moment
+    with closing(sqlite3.connect(station.folder / "archive" / FILE)) as store:
+        found = store.execute(
+            "SELECT count(*), count(DISTINCT f.name), count(DISTINCT f.name || r.verdict || ' ' || r.reasons || ' ' ||"
+            " r.reasons_text || ' ' || r.defect_count || ' ' || coalesce(r.largest_height_um, '-'))"
+            " FROM result r JOIN frame f ON f.result = r.id"
+        ).fetchone()
+    assert found[0] >= SOAK_FRAMES
+    assert found[1] == found[2] == len(list(station.frames.iterdir()))
+
+
+def _looks(life: Life, wait_until: Callable[..., Any]) -> Iterator[tuple[int, int, int]]:
+    process = Path(f"/proc/{life.process.pid}")
+    with closing(Plc(life.port)) as plc:
+        for number in range(LOOKS + 1):
+            frames = SOAK_FRAMES * (number + 2) // (LOOKS + 2)  # the first part fills and opens what it needs
+            _until(plc, frames, wait_until)
+            found = _look(process)
+            print(f"{frames} frames: {found[0] / 2**20:.2f} MiB, {found[1]} files, {found[2]} threads", flush=True)
+            yield found
+
+
+def _until(plc: Plc, frames: int, wait_until: Callable[..., Any]) -> None:
+    """Wait for so many results, for as long as they come."""
+    while (now := plc.read()["sequence_u32"]) < frames:
+        wait_until(lambda now=now: plc.read()["sequence_u32"] > now, f"a result after {now}", 60)
+        Event().wait(min(1.0, (frames - now) / 1000))  # not asked of it all the time
+
+
+def _look(process: Path) -> tuple[int, int, int]:
+    """Resident bytes, open files and threads."""
+    resident = int((process / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    return resident, len(list((process / "fd").iterdir())), len(list((process / "task").iterdir()))
