@@ -17,6 +17,7 @@ from inspector import settings_version
 from inspector.acquire.outage import Outage
 from inspector.archive import entries
 from inspector.archive.archive_settings import ArchiveSettings
+from inspector.archive.claim import Claim
 from inspector.archive.entries import Taken
 from inspector.archive.recorder import Plan, Recorder, Version
 from inspector.archive.session_frames import Inspected
@@ -146,8 +147,10 @@ class _Books:
     def __init__(self, settings: ArchiveSettings, run: Run) -> None:
         self.settings = settings
         about = {"station": run.station, "program": run.program}
-        self.recorder = Recorder(settings.folder, settings.frames, about, Outage("keeping of frames"))
-        self.writer = StoreWriter(settings.folder, run, Outage("results' store"), self.recorder.make_room)
+        folder, claim = settings.folder, Claim(settings.folder)
+        self.recorder = Recorder(folder, settings.frames, about, Outage("keeping of frames"), claim.holds)
+        store, store_log = Outage("results' store"), Outage("working in the store's log")
+        self.writer = StoreWriter(folder, run, claim, store, store_log, self.recorder.make_room)
         self.seen: object = None
         self._last = 0
         self._version = Version("", "")
@@ -184,10 +187,10 @@ class _Books:
             return
         self._version = Version(found.name, found.as_json())
         self._recipe = f"{content_hash(settings.recipe):08x}"
-        self.writer.put(entries.settings_version(found.name, now_s, self._version.text))
+        self.writer.stands("settings", entries.settings_version(found.name, now_s, self._version.text))
         recipe: Recipe = settings.recipe
         text = recipe.model_dump_json(indent=1)
-        self.writer.put(entries.recipe_version(self._recipe, recipe.id, recipe.name, now_s, text))
+        self.writer.stands("recipe", entries.recipe_version(self._recipe, recipe.id, recipe.name, now_s, text))
 
     def keep(
         self, result: Snapshot, at_s: float, texts: Sequence[str], taken: Sequence[Taken], panel: PanelResult | None

@@ -13,7 +13,7 @@ import shutil
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,7 @@ from inspector.archive.archive_settings import KeptFrames
 from inspector.archive.entries import Place
 from inspector.archive.session_frames import Kept
 from inspector.archive.session_writer import SessionWriter
-from inspector.archive.shelf import Shelf
+from inspector.archive.shelf import STAMP, Shelf
 from inspector.archive.store_writer import Outages
 from inspector.faults import Fault
 from inspector.model import Image
@@ -80,10 +80,18 @@ class _Job:
 
 
 class Recorder:
-    """Keeps frames below ``folder``. ``about`` is what each session says of the station."""
+    """Keeps frames below ``folder`` while it is ``ours``. ``about`` is what each session says of the station."""
 
-    def __init__(self, folder: Path, settings: KeptFrames, about: Mapping[str, object], outage: Outages) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        settings: KeptFrames,
+        about: Mapping[str, object],
+        outage: Outages,
+        ours: Callable[[], bool] = lambda: True,
+    ) -> None:
         self.settings = settings
+        self._ours, self._cleaned = ours, False
         self._folder, self._about, self._outage = folder, about, outage
         self._shelves = {name: Shelf(folder / name) for name in (FRAMES, LAST)}
         self._sessions = {FRAMES: _Rotating(SESSION_FRAMES, SESSION_S), LAST: _Rotating(0, float("inf"))}
@@ -124,12 +132,14 @@ class Recorder:
             for image, recorded in frames:
                 self._jobs.append(_Job(image, recorded, version, plan))
                 self._bytes += image.nbytes
-            while self._bytes > QUEUE_BYTES:
+            while self._bytes > QUEUE_BYTES and self._jobs:
                 self._leave_out()
             self._changed.notify_all()
 
     def make_room(self) -> None:
         """Delete the oldest sessions, of whichever shelf, until the disk has room again. In any thread."""
+        if not self._ours():
+            return
         with suppress(OSError):
             for name in (FRAMES, LAST):
                 self._tidy(name)
@@ -159,9 +169,7 @@ class Recorder:
         self._outage.begins(f"{why}: frames are left out, results are not")
 
     def _work(self) -> None:
-        with suppress(OSError):
-            for shelf in self._shelves.values():
-                shelf.clean()
+        self._clean()
         while (jobs := self._next()) is not None:
             if time.monotonic() > self._looked_s + LOOK_EVERY_S:
                 self._looked_s = time.monotonic()
@@ -177,6 +185,16 @@ class Recorder:
             else:
                 if jobs and not self._jobs:
                     self._outage.ends()
+            with self._changed:
+                self._bytes -= sum(job.image.nbytes for job in jobs)
+
+    def _clean(self) -> None:
+        """Once, before the first frame is written: take away what a crash left half done."""
+        if not self._cleaned and self._ours():
+            self._cleaned = True
+            with suppress(OSError):
+                for shelf in self._shelves.values():
+                    shelf.clean()
 
     def _fails(self, jobs: Sequence[_Job], why: str) -> None:
         self._lose(len(jobs), why)
@@ -194,11 +212,13 @@ class Recorder:
             plan, jobs = self._jobs[0].plan, list[_Job]()
             while self._jobs and self._jobs[0].plan == plan and len(jobs) < AT_ONCE:
                 jobs.append(self._jobs.popleft())
-                self._bytes -= jobs[-1].image.nbytes
             return jobs
 
     def _write(self, jobs: Sequence[_Job]) -> None:
         """Into the session of the first shelf, and linked into the other; or into that one only. Raises OSError."""
+        if not self._ours():
+            raise OSError(errno.ENODEV, "is not this station's, or its disk is gone", str(self._folder))
+        self._clean()
         plan, frames = jobs[0].plan, [(job.image, job.recorded) for job in jobs]
         if self._free_bytes() < self._least_free_bytes:
             least_mb = self._least_free_bytes / retention.BYTES_PER_MB
@@ -229,12 +249,12 @@ class Recorder:
 
     def _tidy(self, name: str) -> None:
         """Delete what is to go from a shelf by age, number, size and free space. Raises OSError."""
-        shelf, at_work = self._shelves[name], self._sessions[name].name
+        shelf, at_work, now_s = self._shelves[name], self._sessions[name].name, time.time()
         if name == LAST:
-            for session in retention.past_the_last(shelf.held(at_work), self.settings.last):
+            for session in retention.past_the_last(shelf.held(at_work, now_s), self.settings.last):
                 shelf.delete(session)
         limits = retention.Limits(self.settings.days, self.settings.most_mb, self._least_free_bytes)
-        for session in retention.overdue(shelf.held(at_work), limits, time.time(), self._free_bytes()):
+        for session in retention.overdue(shelf.held(at_work, now_s), limits, now_s, self._free_bytes()):
             log.info("frames of session %s/%s are deleted: their time or their space is over", name, session)
             shelf.delete(session)
 
@@ -248,18 +268,19 @@ class _Rotating:
     def __init__(self, most_frames: int, most_s: float) -> None:
         self.name: str | None = None
         self._most_frames, self._most_s = most_frames, most_s
-        self._frames, self._begun_s, self._number = 0, 0.0, 0
+        self._frames, self._begun_s = 0, 0.0
 
     def next(self, frames: int, at_s: float, most_frames: int | None = None) -> str:
         """The session for these frames of one result."""
         most = self._most_frames if most_frames is None else most_frames
         over = self._frames and self._frames + frames > most
-        if self.name is None or over or not 0 <= at_s - self._begun_s < self._most_s:
-            stamp = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime(at_s))
-            self._number += 1
-            self.name, self._begun_s, self._frames = f"{stamp}-{time.monotonic_ns():020d}", at_s, 0
+        name = self.name
+        if name is None or over or not 0 <= at_s - self._begun_s < self._most_s:
+            stamp = time.strftime(STAMP, time.gmtime(at_s))
+            name = self.name = f"{stamp}-{time.monotonic_ns():020d}"
+            self._begun_s, self._frames = at_s, 0
         self._frames += frames
-        return self.name
+        return name
 
     def end(self) -> None:
         """The next frames go into a new session; in any thread."""

@@ -22,7 +22,9 @@ class SessionWriter:
     OSError."""
 
     def __init__(self, folder: Path, about: Mapping[str, object], *, go_on: bool = False) -> None:
-        folder.mkdir(parents=True, exist_ok=go_on)
+        if not (go_on and folder.is_dir()):
+            folder.mkdir(parents=True)
+            whole_file.settle(folder.parent)
         self.folder = folder
         self._index = folder / session.INDEX
         self._versions: set[str] = set()
@@ -64,6 +66,7 @@ class SessionWriter:
         try:
             for _, recorded in frames:
                 os.link(other.folder / recorded.file, self.folder / recorded.file)
+            whole_file.settle(self.folder)
         except OSError:
             for _, recorded in frames:
                 (self.folder / recorded.file).unlink(missing_ok=True)

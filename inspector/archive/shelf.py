@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from firmware_bridge.wire import session
 from inspector.archive.retention import Held
 from inspector.archive.session_writer import PART
 
+STAMP = "%Y%m%dT%H%M%SZ"
+"""Begin of a session's name, as strftime writes it: when it was begun, UTC."""
 GOING = ".going-"
 """Begin of the name of a session that is being deleted: half of one is never taken for a session."""
 
@@ -28,9 +31,13 @@ class Shelf:
         except FileNotFoundError:
             return []
 
-    def held(self, at_work: str | None) -> list[Held]:
-        """The sessions but the one that is being written, the oldest first. Raises OSError."""
-        names = [name for name in self.sessions() if name != at_work]
+    def held(self, at_work: str | None, now_s: float) -> list[Held]:
+        """The sessions but the one that is being written, the oldest first. Raises OSError.
+
+        One from the future was written before the clock was set back: it is older than all others.
+        """
+        now = time.strftime(STAMP, time.gmtime(now_s))
+        names = sorted((n for n in self.sessions() if n != at_work), key=lambda n: (n[: len(now)] <= now, n))
         self._known = {name: self._known.get(name) or _measured(self.folder / name) for name in names}
         return list(self._known.values())
 

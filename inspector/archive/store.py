@@ -6,7 +6,6 @@ the file that another process reads meanwhile, or finds after a power cut, is a 
 
 from __future__ import annotations
 
-import fcntl
 import os
 import sqlite3
 import time
@@ -17,26 +16,23 @@ from pathlib import Path
 
 from firmware_bridge import whole_file
 from inspector.archive import store_copy
+from inspector.archive.claim import StoreUnavailable
 from inspector.archive.entries import Entry, Rows
 from inspector.archive.schema import OLDEST_WRITER, RUN_BITS, STEPS
 
-FILE, LOCK = "results.sqlite", "archive.lock"
-"""Names in the archive's folder."""
+FILE = "results.sqlite"
+"""Name in the archive's folder."""
 BUSY_S = 2.0
 """Whoever else writes into the file is waited for so long."""
 CHECKPOINT_BYTES = 4_000_000
-"""The log beside the file is worked into it when it is larger."""
+"""The log beside the file is worked into it when it is larger, and begun anew, unless somebody reads all the time."""
 _BESIDE = ("", "-wal", "-shm")
 _ONCE = frozenset({"settings_version", "recipe_version"})
 """Tables whose rows stay as they were written first."""
 
 
-class StoreUnavailable(Exception):
-    """The store cannot be written now; the message says why. Trying again may help."""
-
-
-class StoreInUse(StoreUnavailable):
-    """Another process has the archive."""
+class StoreBusy(StoreUnavailable):
+    """The store is sound and open, and cannot be written now: another process writes, or the disk is full."""
 
 
 class StoreDamaged(Exception):
@@ -57,11 +53,11 @@ class Run:
 
 
 class Store:
-    """The store of a folder, open. ``id`` is the run's number. Raises StoreUnavailable, StoreDamaged."""
+    """A claimed folder's store, open. ``id`` is the run's number. Raises StoreUnavailable, StoreDamaged."""
 
     def __init__(self, folder: Path, run: Run, steps: Sequence[str] = STEPS) -> None:
         self._path = folder / FILE
-        self._lock = _locked(folder)
+        self._tidied_bytes = 0
         try:
             self._connection = _opened(self._path, steps)
             self._file = _identity(self._path)
@@ -93,15 +89,20 @@ class Store:
         except (sqlite3.Error, OSError) as error:
             raise _meant(error) from error
 
-    def tidy(self) -> None:
-        """Work the log into the file when it has grown; to be called when nobody waits. Raises as :meth:`write`."""
+    def tidy(self) -> int:
+        """Work the log into the file when it has grown; to be called when nobody waits. Its size, bytes: who reads on
+        and on keeps it from being begun anew, and then it grows. Raises as :meth:`write`."""
         try:
-            if os.stat(f"{self._path}-wal").st_size > CHECKPOINT_BYTES:
+            size = os.stat(f"{self._path}-wal").st_size
+            self._tidied_bytes = 0 if size < self._tidied_bytes else self._tidied_bytes
+            if size > self._tidied_bytes + CHECKPOINT_BYTES:
                 self._connection.execute("PRAGMA wal_checkpoint(PASSIVE)")
+                self._tidied_bytes = size
         except FileNotFoundError:
-            return
+            return 0
         except (sqlite3.Error, OSError) as error:
             raise _meant(error) from error
+        return size
 
     def close(self, ended_s: float | None = None) -> None:
         """Close the file; with ``ended_s`` the run's end is kept. Never raises."""
@@ -113,7 +114,6 @@ class Store:
                         connection.execute("UPDATE run SET ended_s = ? WHERE id = ?", (ended_s, self.id))
             with suppress(sqlite3.Error):
                 connection.close()
-        os.close(self._lock)
 
     def _begin(self, run: Run) -> int:
         """The run's row; the same run that opens the store again finds its own."""
@@ -168,24 +168,6 @@ def set_aside(folder: Path, now_s: float) -> Path | None:
     return moved
 
 
-def _locked(folder: Path) -> int:
-    """The archive's lock, held until it is closed: it goes with the process, however that ends."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    except OSError as error:
-        raise StoreUnavailable(f"{folder}: {error.strerror}") from error
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        os.close(lock)
-        raise StoreInUse(f"{folder} is another running station's: give each station a folder of its own") from error
-    except OSError as error:
-        os.close(lock)
-        raise StoreUnavailable(f"{folder}: {error.strerror}") from error
-    return lock
-
-
 def _opened(path: Path, steps: Sequence[str]) -> sqlite3.Connection:
     """The file, sound and with all steps taken. Raises sqlite3.Error, OSError, StoreDamaged."""
     connection = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
@@ -193,6 +175,9 @@ def _opened(path: Path, steps: Sequence[str]) -> sqlite3.Connection:
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute("PRAGMA wal_autocheckpoint = 0")
+        connection.execute(
+            f"PRAGMA journal_size_limit = {CHECKPOINT_BYTES}"
+        )  # else its size tells nothing from then on
         complaint = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
         if complaint != "ok":
             raise StoreDamaged(f"{path} fails its integrity check: {complaint}")
@@ -228,6 +213,7 @@ def _check_writable(connection: sqlite3.Connection, path: Path, version: int) ->
 
 _REFUSALS = (sqlite3.ProgrammingError, sqlite3.IntegrityError, sqlite3.InterfaceError, sqlite3.DataError)
 _DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+_BUSY = (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_FULL)
 
 
 def _meant(error: sqlite3.Error | OSError) -> StoreUnavailable | StoreDamaged:
@@ -235,4 +221,4 @@ def _meant(error: sqlite3.Error | OSError) -> StoreUnavailable | StoreDamaged:
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
     if code in _DAMAGE or (isinstance(error, sqlite3.DatabaseError) and "no such table" in str(error)):
         return StoreDamaged(str(error))
-    return StoreUnavailable(str(error))
+    return StoreBusy(str(error)) if code in _BUSY else StoreUnavailable(str(error))

@@ -14,16 +14,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
+from inspector.archive.claim import Claim, StoreUnavailable
 from inspector.archive.entries import Entry
-from inspector.archive.store import EntryRefused, Run, Store, StoreDamaged, StoreUnavailable, set_aside
+from inspector.archive.store import EntryRefused, Run, Store, StoreBusy, StoreDamaged, set_aside
 from inspector.faults import Fault
 
 RETRY_FIRST_S, RETRY_LONGEST_S = 0.1, 5.0
 """A store that cannot be written is tried again after so long; each further failure doubles it."""
-MOST_WAITING = 20_000
-"""More entries than this, some 40 MB of them, are not kept in memory: the service must live. The log says so."""
+MOST_ROWS = 100_000
+"""More rows than this, some 50 MB, are not kept in memory: the service must live. The log says so."""
 MOST_AT_ONCE = 1_000
 """Entries written together: what waited in an outage goes in batches."""
+
+LARGE_LOG_BYTES = 64_000_000
+"""A log beside the store that has grown larger than this is told of: somebody reads and never ends."""
 
 log = logging.getLogger(__name__)
 
@@ -36,13 +40,24 @@ class Outages(Protocol):
 
 
 class StoreWriter:
-    """Writes into the store of ``folder``. ``make_room`` is called, in this thread, when the disk refuses."""
+    """Writes into the store of ``folder``, once its ``claim`` is taken. ``make_room`` is called, in this thread, when
+    the disk refuses; ``large`` is told of a log that grows."""
 
-    def __init__(self, folder: Path, run: Run, outage: Outages, make_room: Callable[[], None] = lambda: None) -> None:
-        self._folder, self._run, self._outage, self._make_room = folder, run, outage, make_room
+    def __init__(
+        self,
+        folder: Path,
+        run: Run,
+        claim: Claim,
+        outage: Outages,
+        large: Outages,
+        make_room: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._folder, self._run, self._claim = folder, run, claim
+        self._outage, self._large, self._make_room = outage, large, make_room
         self._changed = threading.Condition()
         self._waiting: deque[Entry] = deque()
-        self._put = self._written = self._lost = 0
+        self._put = self._written = self._lost = self._rows = 0
+        self._standing: dict[str, Entry] = {}
         self._since_s: float | None = None
         self._set_aside: Path | None = None
         self._stopping = False
@@ -72,18 +87,29 @@ class StoreWriter:
 
     def put(self, entry: Entry) -> int:
         """Have this written after all that came before; its number for :meth:`wait`. Never waits."""
+        rows = _rows(entry)
         with self._changed:
-            if len(self._waiting) >= MOST_WAITING:
-                self._lost += 1
-                if self._lost == 1:
-                    log.error("%d entries wait for the store: what comes now is not kept", MOST_WAITING)
-                return self._put + 1
+            if self._rows + rows > MOST_ROWS and self._waiting:
+                return self._lose()
             self._waiting.append(entry)
+            self._rows += rows
             self._put += 1
             if self._since_s is None:
                 self._since_s = time.monotonic()
             self._changed.notify_all()
             return self._put
+
+    def stands(self, what: str, entry: Entry) -> None:
+        """As :meth:`put`, and again in a store that is begun anew: what entries after it refer to, by their kind."""
+        self._standing = {**self._standing, what: entry}
+        self.put(entry)
+
+    def _lose(self) -> int:
+        """Keep one entry less; the number of the next one."""
+        self._lost += 1
+        if self._lost == 1:
+            log.error("%d entries wait for the store: what comes now is not kept", len(self._waiting))
+        return self._put + 1
 
     def has(self, number: int) -> bool:
         """Whether the entry of this number, and with it all before, is on the disk."""
@@ -100,8 +126,10 @@ class StoreWriter:
             self._stopping = True
             self._changed.notify_all()
         self._thread.join(timeout_s)
-        if self._store is not None and not self._thread.is_alive():
-            self._store.close(ended_s)
+        if not self._thread.is_alive():
+            if self._store is not None:
+                self._store.close(ended_s)
+            self._claim.close()
         return self.waiting
 
     def _work(self) -> None:
@@ -119,6 +147,8 @@ class StoreWriter:
             except StoreDamaged as damage:
                 self._reopen_later()
                 failure = self._put_aside(damage)
+            except StoreBusy as error:
+                failure = error
             except StoreUnavailable as error:
                 self._reopen_later()
                 failure = error
@@ -145,7 +175,14 @@ class StoreWriter:
     def _opened(self) -> Store:
         """The store. Raises StoreUnavailable, StoreDamaged."""
         if self._store is None:
-            self._store = Store(self._folder, self._run)
+            self._claim.take()
+            store = Store(self._folder, self._run)
+            try:
+                store.write(self._standing.values())
+            except BaseException:
+                store.close()
+                raise
+            self._store = store
         return self._store
 
     def _write(self, batch: list[Entry]) -> None:
@@ -157,13 +194,20 @@ class StoreWriter:
             self._write_one_by_one(store, batch)
         with self._changed:
             for _ in batch:
-                self._waiting.popleft()
+                self._rows -= _rows(self._waiting.popleft())
             self._written += len(batch)
             self._since_s = time.monotonic() if self._waiting else None
             self._changed.notify_all()
             idle = not self._waiting
         if idle:
-            store.tidy()
+            self._tidy(store)
+
+    def _tidy(self, store: Store) -> None:
+        size = store.tidy()
+        if size > LARGE_LOG_BYTES:
+            self._large.begins("somebody reads the store without end, and it grows until the disk is full: end that")
+        elif size < LARGE_LOG_BYTES // 2:
+            self._large.ends()
 
     def _write_one_by_one(self, store: Store, batch: list[Entry]) -> None:
         """An entry that no store takes must not keep the others from it."""
@@ -178,6 +222,8 @@ class StoreWriter:
 
     def _put_aside(self, error: StoreDamaged) -> StoreUnavailable | None:
         """Begin anew beside a damaged store; what is in the way of that, None if nothing."""
+        if not self._claim.holds():
+            return StoreUnavailable(str(error))  # the folder is another one: its store may be sound
         try:
             moved = set_aside(self._folder, time.time())
         except StoreUnavailable as refused:
@@ -197,3 +243,7 @@ class StoreWriter:
         self._make_room()
         with self._changed:
             return self._changed.wait_for(lambda: self._stopping, retry_s)
+
+
+def _rows(entry: Entry) -> int:
+    return sum(len(rows.values) for rows in entry)

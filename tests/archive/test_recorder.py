@@ -85,12 +85,12 @@ def test_all_that_failed_a_sample_of_what_passed_and_the_last(recorder: Any, tmp
 def test_the_ring_keeps_no_more_than_it_should(recorder: Any, tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setattr(recorder_module, "LOOK_EVERY_S", 0.0)
     one = recorder(failing=False, passing_every=None, last=8)
-    for number in range(300):
+    for number in range(100):
         put(one, number, passed=True)
-    one.close(20)
+    one.close(60)
     one.make_room()
     found = numbers(tmp_path / LAST)
-    assert found == list(range(found[0], 300))
+    assert found == list(range(found[0], 100))
     assert 8 <= len(found) <= 12
 
 
@@ -181,6 +181,30 @@ def test_no_more_goes_than_has_to_and_the_oldest_first(
         assert short or large or now_s - last.newest_s > days * DAY_S
 
 
+def test_sessions_from_before_the_clock_was_set_back_are_the_oldest(tmp_path: Path) -> None:
+    at_s = {"before": 3600.0, "after": 100.0, "later": 200.0}
+    names = {what: time.strftime("%Y%m%dT%H%M%SZ-0", time.gmtime(when)) for what, when in at_s.items()}
+    for name in names.values():
+        (tmp_path / name).mkdir()
+    shelf = Shelf(tmp_path)
+    assert [h.name for h in shelf.held(None, 250.0)] == [names[what] for what in ("before", "after", "later")]
+    assert [h.name for h in shelf.held(None, 9999.0)] == sorted(names.values())
+
+
+def test_nothing_is_touched_in_a_folder_that_is_not_ours(recorder: Any, tmp_path: Path) -> None:
+    half = tmp_path / FRAMES / "20260101T000000Z-0" / ".0000000002-00.png.part"
+    half.parent.mkdir(parents=True)
+    half.write_bytes(b"being written by somebody else")
+    one = Recorder(tmp_path, KeptFrames(min_free_mb=0, days=1e-9), {}, Outage("frames"), lambda: False)
+    for number in range(5):
+        put(one, number, passed=False)
+    one.make_room()
+    one.close(20)
+    assert one.left_out == 5
+    assert half.exists()
+    assert [path.name for path in (tmp_path / FRAMES).iterdir()] == [half.parent.name]
+
+
 @given(HELD, st.integers(0, 1000))
 def test_the_last_frames_stay(held: list[Held], last: int) -> None:
     going = past_the_last(held, last)
@@ -198,6 +222,6 @@ def test_the_oldest_sessions_go_when_they_take_too_much(recorder: Any, tmp_path:
     one.make_room()
     found = numbers(tmp_path / FRAMES)
     assert found == list(range(found[0], 40))
-    sizes = sum(held.size_bytes for held in Shelf(tmp_path / FRAMES).held(None)[:-1])
+    sizes = sum(held.size_bytes for held in Shelf(tmp_path / FRAMES).held(None, time.time())[:-1])
     assert sizes <= 0.05e6
     assert Kept.FAILING.value == "failing"

@@ -16,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from inspector.archive import entries
+from inspector.archive.claim import Claim, StoreInUse, StoreUnavailable
 from inspector.archive.schema import STEPS
 from inspector.archive.store import (
     FILE,
@@ -23,8 +24,6 @@ from inspector.archive.store import (
     Run,
     Store,
     StoreDamaged,
-    StoreInUse,
-    StoreUnavailable,
     set_aside,
 )
 from inspector.model import Defect, Flag, Frame, FrameResult, Snapshot, Verdict
@@ -98,8 +97,8 @@ def test_none_of_a_batch_is_written_if_one_cannot_be(tmp_path: Path) -> None:
 
 def test_two_stations_cannot_have_one_archive_and_a_killed_one_leaves_no_lock(tmp_path: Path) -> None:
     program = (
-        "import sys, os, pathlib; from inspector.archive.store import *;"
-        "s = Store(pathlib.Path(sys.argv[1]), Run(1.0, '', '')); print('open', flush=True); sys.stdin.read()"
+        "import sys, pathlib; from inspector.archive.claim import Claim;"
+        "Claim(pathlib.Path(sys.argv[1])).take(); print('open', flush=True); sys.stdin.read()"
     )
     other = subprocess.Popen(
         [sys.executable, "-c", program, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -107,12 +106,32 @@ def test_two_stations_cannot_have_one_archive_and_a_killed_one_leaves_no_lock(tm
     with other:
         assert other.stdout is not None
         assert other.stdout.readline() == "open\n"
+        claim = Claim(tmp_path)
         with pytest.raises(StoreInUse, match="a folder of its own"):
-            Store(tmp_path, RUN)
+            claim.take()
         other.kill()
         other.wait()
-    with opened(tmp_path) as store:
-        store.write([result(1)])
+    claim.take()
+    assert claim.holds()
+    claim.close()
+    assert not claim.holds()
+
+
+def test_a_claimed_folder_that_is_gone_is_waited_for_and_not_made_anew(tmp_path: Path) -> None:
+    folder, away = tmp_path / "archive", tmp_path / "away"
+    claim = Claim(folder)
+    claim.take()
+    folder.rename(away)
+    folder.mkdir()  # what is there where a disk is not mounted
+    assert not claim.holds()
+    with pytest.raises(StoreUnavailable, match="mount its disk again"):
+        claim.take()
+    assert not list(folder.iterdir())
+    folder.rmdir()
+    away.rename(folder)
+    claim.take()
+    assert claim.holds()
+    claim.close()
 
 
 @settings(max_examples=15)

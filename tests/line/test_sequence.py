@@ -6,11 +6,14 @@ import logging
 import signal
 from collections.abc import Callable
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import pytest
 
+from firmware_bridge import whole_file
 from firmware_bridge.simulators.module_server import ModuleServer
+from inspector import sequence_file
 from inspector.sequence_file import AHEAD, SequenceFile
 
 
@@ -49,6 +52,28 @@ def test_a_disk_that_takes_nothing_is_told_once(tmp_path: Path, caplog: pytest.L
     for sequence in range(1, 3 * AHEAD):
         kept.reached(sequence)
     assert [r.getMessage().count("cannot be written") for r in caplog.records] == [1]
+
+
+def test_a_disk_that_hangs_holds_no_result_up_for_long(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    file, let_go, write = tmp_path / "sequence.json", Event(), whole_file.write
+
+    def hang(path: Path, content: str | bytes) -> None:
+        let_go.wait(20)
+        write(path, content)
+
+    monkeypatch.setattr(whole_file, "write", hang)
+    monkeypatch.setattr(sequence_file, "WAIT_S", 0.001)
+    kept = SequenceFile(file)
+    for sequence in range(1, 2 * AHEAD):
+        kept.reached(sequence)
+    assert not file.exists()
+    assert [r.getMessage().count("the disk does not answer") for r in caplog.records] == [1]
+    let_go.set()
+    monkeypatch.setattr(sequence_file, "WAIT_S", 20)
+    kept.ends(2 * AHEAD)
+    assert SequenceFile(file).first == 2 * AHEAD
 
 
 @pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])

@@ -43,9 +43,15 @@ class Disk:
         finally:
             os.close(opened)
 
-    def unmount(self) -> None:
-        """Take it away, when nobody has a file open there."""
-        _run("umount", str(self._folder))
+    def power_on(self) -> None:
+        """After a cut: what was on the disk is there again. Of a copy, since whoever made a mount namespace meanwhile
+        still has the old one."""
+        self.pull()
+        old, self._image = self._image, self._image.with_name(f"{self._image.name}.next")
+        _run("cp", "--sparse=always", str(old), str(self._image))
+        old.unlink()
+        self._image = self._image.rename(old)
+        self.mount()
 
     def pull(self) -> None:
         """Take it away under whoever has files open there."""
