@@ -33,7 +33,7 @@ soak: setup  ## Pass the tests that take minutes: long runs, with devices that c
 	CROWD_REQUESTS=100000 FUZZ_BYTES=10000000 $(BIN)/pytest tests/publish/test_plc_foreign_crowd.py \
 	  tests/publish/test_plc_clients.py
 	KILLS=200 CUTS=50 SOAK_FRAMES=100000 $(BIN)/pytest -m "long or not long" tests/line/test_archive_kills.py \
-	  tests/line/test_archive_power.py tests/line/test_archive_soak.py
+	  tests/line/test_archive_power.py tests/line/test_archive_disk.py tests/line/test_archive_soak.py
 	HANDSHAKE_EXAMPLES=1000 $(BIN)/pytest --timeout 3600 tests/line/test_handshake_random.py
 
 check: lint test  ## All that CI runs.

@@ -89,6 +89,8 @@ class Ledger:
         if books is None:
             return snapshot
         degraded = books.degraded
+        if degraded:
+            books.writer.watch()
         marked = replace(
             snapshot,
             store_degraded=degraded,

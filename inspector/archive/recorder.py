@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import errno
 import logging
-import shutil
+import os
 import threading
 import time
 from collections import deque
@@ -39,6 +39,8 @@ QUEUE_BYTES = 48_000_000
 """Images that wait take no more memory than this."""
 LEAST_FREE_MB = 20.0
 """Results are left so much of the disk, whatever the settings say."""
+LEAST_FREE_FILES = 2 * SESSION_FRAMES
+"""So many files can still be made, or room is made as for space."""
 AT_ONCE = 16
 """Frames written together, for the sake of the disk."""
 LOOK_EVERY_S = 10.0
@@ -241,7 +243,10 @@ class Recorder:
         return writer
 
     def _free_bytes(self) -> float:
-        return shutil.disk_usage(self._folder).free
+        """Free space; none where files can no longer be made, however much there is."""
+        disk = os.statvfs(self._folder)
+        short = disk.f_files > 0 and disk.f_favail < LEAST_FREE_FILES
+        return 0.0 if short else disk.f_bavail * disk.f_frsize
 
     @property
     def _least_free_bytes(self) -> float:

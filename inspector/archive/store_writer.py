@@ -26,6 +26,8 @@ MOST_ROWS = 100_000
 MOST_AT_ONCE = 1_000
 """Entries written together: what waited in an outage goes in batches."""
 
+SLOW_S = 2.0
+"""The log is told when an entry has waited so long: a disk that hangs reports nothing."""
 LARGE_LOG_BYTES = 64_000_000
 """A log beside the store that has grown larger than this is told of: somebody reads and never ends."""
 
@@ -119,6 +121,11 @@ class StoreWriter:
         """Whether the entry of this number, and with it all before, is on the disk within the time."""
         with self._changed:
             return self._changed.wait_for(lambda: self.has(number), timeout_s)
+
+    def watch(self) -> None:
+        """Tell the log, in whoever's thread this is, if the store hangs: its own thread then does, too."""
+        if self.lag_s() > SLOW_S:
+            self._outage.begins(f"{self._folder} takes more than {SLOW_S:g} s. {Fault.STORE_DEGRADED.remedy}")
 
     def close(self, timeout_s: float, ended_s: float) -> int:
         """Write what waits, if that can be done in the time, and close; how many entries are lost."""

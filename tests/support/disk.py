@@ -11,7 +11,7 @@ from pathlib import Path
 _SHUTDOWN = 0x8004587D
 """EXT4_IOC_SHUTDOWN, XFS_IOC_GOINGDOWN: nothing that is not on the disk yet gets there any more."""
 _WITHOUT_LOG = 2
-_LATE = {"ext4": "commit=600", "xfs": "logbsize=256k"}
+_LATE = {"ext4": "commit=600,errors=remount-ro", "xfs": "logbsize=256k"}
 """The file system writes of itself as late as it can: what is not asked for by fsync is lost."""
 
 
@@ -51,15 +51,20 @@ class Disk:
         _run("cp", "--sparse=always", str(old), str(self._image))
         old.unlink()
         self._image = self._image.rename(old)
+        if self._kind == "ext4":
+            subprocess.run(["e2fsck", "-p", str(self._image)], capture_output=True, timeout=60)
         self.mount()
 
     def pull(self) -> None:
         """Take it away under whoever has files open there."""
         _run("umount", "--lazy", str(self._folder))
 
-    def remount(self, how: str) -> None:
-        """``ro``: it is read only from now on; ``rw``: no more."""
-        _run("mount", "-o", f"remount,{how}", str(self._folder))
+    def fail(self) -> None:
+        """The kernel finds the file system wrong, and lets nobody write until :meth:`power_on`."""
+        found = subprocess.run(
+            ["findmnt", "-no", "SOURCE", str(self._folder)], capture_output=True, text=True, timeout=60
+        )
+        Path("/sys/fs/ext4", Path(found.stdout.strip()).name, "trigger_fs_error").write_text("1")
 
     def close(self) -> None:
         """Take it away, whatever state it is in."""
