@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import re
 import shutil
 import time
 from contextlib import suppress
@@ -13,8 +15,13 @@ from inspector.archive.session_writer import PART
 
 STAMP = "%Y%m%dT%H%M%SZ"
 """Begin of a session's name, as strftime writes it: when it was begun, UTC."""
+_SESSION = re.compile(r"\d{8}T\d{6}Z-")
+"""What is named otherwise is somebody else's, and left alone."""
 GOING = ".going-"
 """Begin of the name of a session that is being deleted: half of one is never taken for a session."""
+
+
+log = logging.getLogger(__name__)
 
 
 class Shelf:
@@ -23,11 +30,12 @@ class Shelf:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._known: dict[str, Held] = {}
+        self._stuck: set[str] = set()
 
     def sessions(self) -> list[str]:
         """Names of the sessions, the oldest first. Raises OSError."""
         try:
-            return sorted(p.name for p in self.folder.iterdir() if not p.name.startswith("."))
+            return sorted(p.name for p in self.folder.iterdir() if _SESSION.match(p.name) and p.is_dir())
         except FileNotFoundError:
             return []
 
@@ -37,16 +45,21 @@ class Shelf:
         One from the future was written before the clock was set back: it is older than all others.
         """
         now = time.strftime(STAMP, time.gmtime(now_s))
-        names = sorted((n for n in self.sessions() if n != at_work), key=lambda n: (n[: len(now)] <= now, n))
+        gone = {at_work, *self._stuck}
+        names = sorted((n for n in self.sessions() if n not in gone), key=lambda n: (n[: len(now)] <= now, n))
         self._known = {name: self._known.get(name) or _measured(self.folder / name) for name in names}
         return list(self._known.values())
 
     def delete(self, name: str) -> None:
-        """Take a session away. Raises OSError."""
+        """Take a session away; one that cannot be is left alone from then on, and others go in its place."""
         going = self.folder / f"{GOING}{name}"
-        (self.folder / name).rename(going)
         self._known.pop(name, None)
-        shutil.rmtree(going)
+        try:
+            (self.folder / name).rename(going)
+            shutil.rmtree(going)
+        except OSError as error:
+            self._stuck.add(name)
+            log.error("%s cannot be deleted (%s): look at its permissions", self.folder / name, error.strerror)
 
     def clean(self) -> None:
         """Take away what a crash left half done; nothing that a session's index names. Raises OSError."""
@@ -60,7 +73,7 @@ class Shelf:
 
 
 def _measured(folder: Path) -> Held:
-    files = [file.stat() for file in folder.iterdir()]
+    files = [file.lstat() for file in folder.iterdir()]
     newest_s = max((stat.st_mtime for stat in files), default=0.0)
     frames = sum(1 for file in folder.glob("*.png"))
     return Held(folder.name, sum(stat.st_blocks * 512 for stat in files), newest_s, frames)

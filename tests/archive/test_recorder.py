@@ -191,6 +191,28 @@ def test_sessions_from_before_the_clock_was_set_back_are_the_oldest(tmp_path: Pa
     assert [h.name for h in shelf.held(None, 9999.0)] == sorted(names.values())
 
 
+def test_what_is_somebody_elses_or_stuck_stays_and_the_rest_goes(
+    recorder: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(recorder_module, "SESSION_FRAMES", 1)
+    shelf = tmp_path / FRAMES
+    for folder in ("kept by hand", "20200101T000000Z-stuck"):
+        (shelf / folder).mkdir(parents=True)
+        (shelf / folder / "a.png").symlink_to("nowhere")
+    (shelf / "notes.txt").write_text("not a session")
+    (shelf / ".going-20200101T000000Z-stuck" / "in the way").mkdir(parents=True)
+    monkeypatch.setattr(Shelf, "clean", lambda _: None)
+    one = recorder(last=0, most_mb=1e-6)
+    for number in range(9):
+        put(one, number, passed=False)
+    one.close(20)
+    for _ in range(2):
+        one.make_room()
+    assert len(numbers(shelf)) == 1
+    assert {"kept by hand", "20200101T000000Z-stuck", "notes.txt"} < {path.name for path in shelf.iterdir()}
+    assert caplog.text.count("cannot be deleted") == 1
+
+
 def test_nothing_is_touched_in_a_folder_that_is_not_ours(recorder: Any, tmp_path: Path) -> None:
     half = tmp_path / FRAMES / "20260101T000000Z-0" / ".0000000002-00.png.part"
     half.parent.mkdir(parents=True)
