@@ -43,6 +43,7 @@ def station(tmp_path: Path) -> Path:
 
 @contextmanager
 def opened(station: Path) -> Iterator[Store]:
+    (station / "archive").mkdir(exist_ok=True)
     store = Store(station / "archive", Run(1000.0, "0.1.0", "line 2"))
     try:
         yield store

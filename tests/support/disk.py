@@ -11,7 +11,7 @@ from pathlib import Path
 _SHUTDOWN = 0x8004587D
 """EXT4_IOC_SHUTDOWN, XFS_IOC_GOINGDOWN: nothing that is not on the disk yet gets there any more."""
 _WITHOUT_LOG = 2
-_LATE = {"ext4": "commit=600,errors=remount-ro", "xfs": "logbsize=256k"}
+_LATE = {"ext4": "commit=600,errors=remount-ro", "xfs": "logbsize=256k,nouuid"}
 """The file system writes of itself as late as it can: what is not asked for by fsync is lost."""
 
 
