@@ -33,6 +33,8 @@ HOURS_STEP = 0.1
 """The bulb's burning hours are kept so often, hours."""
 HELD_BYTES = 64_000_000
 """Frames of a panel under way are held for its verdict in so much memory; more of them are not kept."""
+SETTLES_S = 5.0
+"""A disk that works again for so long is said to."""
 CLOSE_STORE_S, CLOSE_FRAMES_S = 1.5, 1.0
 """A stop waits so long for what is still to be written."""
 
@@ -150,8 +152,10 @@ class _Books:
         self.settings = settings
         about = {"station": run.station, "program": run.program}
         folder, claim = settings.folder, Claim(settings.folder)
-        self.recorder = Recorder(folder, settings.frames, about, Outage("keeping of frames"), claim.holds)
-        store, store_log = Outage("results' store"), Outage("working in the store's log")
+        self.recorder = Recorder(
+            folder, settings.frames, about, Outage("keeping of frames", settles_s=SETTLES_S), claim.holds
+        )
+        store, store_log = Outage("results' store", settles_s=SETTLES_S), Outage("working in the store's log")
         self.writer = StoreWriter(folder, run, claim, store, store_log, self.recorder.make_room)
         self.seen: object = None
         self._last = 0

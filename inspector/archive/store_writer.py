@@ -38,7 +38,7 @@ class Outages(Protocol):
     """Says in the log when something begins to fail, and when it works again."""
 
     def begins(self, complaint: object) -> None: ...
-    def ends(self) -> None: ...
+    def ends(self, *, at_once: bool = False) -> None: ...
 
 
 class StoreWriter:
@@ -134,6 +134,8 @@ class StoreWriter:
             self._changed.notify_all()
         self._thread.join(timeout_s)
         if not self._thread.is_alive():
+            if not self._waiting:
+                self._outage.ends(at_once=True)
             if self._store is not None:
                 self._store.close(ended_s)
             self._claim.close()

@@ -20,6 +20,8 @@ from tests.support.lives import Life, Watcher
 from tests.support.whole_archive import Images, sequences
 
 RESULTS = 40
+LIMIT_BYTES = 100_000
+"""Less than the store has then, more than the log of a life, which is a file too."""
 
 Trouble = Callable[[Disk, Path, Life], Iterator[Callable[[], None]]]
 """Makes trouble, yields what keeps it up, and ends it."""
@@ -43,7 +45,7 @@ def too_large(_: Disk, __: Path, life: Life) -> Iterator[Callable[[], None]]:
     """Files may not grow: as by a quota or a limit of the unit."""
     pid = life.process.pid
     assert pid is not None
-    before = resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, resource.RLIM_INFINITY))
+    before = resource.prlimit(pid, resource.RLIMIT_FSIZE, (LIMIT_BYTES, resource.RLIM_INFINITY))
     yield lambda: None
     resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
 
