@@ -12,7 +12,6 @@ import socket
 import struct
 import sys
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -119,10 +118,10 @@ class Watcher:
         self._socket.close()
 
     def _run(self) -> None:
+        pause = threading.Event()
         with contextlib.suppress(OSError, EOFError):
-            while True:
+            while not pause.wait(_PAUSE_S):
                 self._note(self._read())
-                time.sleep(_PAUSE_S)
 
     def _read(self) -> tuple[int, ...]:
         return struct.unpack(f">{_HEAD_WORDS}H", self._ask(3, struct.pack(">HH", RESULT_ADDRESS, _HEAD_WORDS))[1:])
