@@ -3,8 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PYTEST_ARGS ?=
-# One more than there are processors: many tests wait for a process of theirs.
-WORKERS ?= $(shell expr $$(nproc) + 1)
+WORKERS ?= auto
 
 .PHONY: help setup demo test soak lint check docs manual lock dist deb audit clean
 

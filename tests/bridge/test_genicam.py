@@ -172,7 +172,7 @@ def test_a_line_that_stands_still_is_no_fault(gige_camera: Any, camera_at: Any) 
 def test_frames_taken_unasked_are_told_by_the_line_that_then_stands_still(
     gige_camera: Any, camera_at: Any, wait_until: Any
 ) -> None:
-    peer, camera = gige_camera(), camera_at(trigger="Line0", deadline_s=0.5)
+    peer, camera = gige_camera(), camera_at(trigger="Line0", deadline_s=1.5)
 
     def told() -> int:
         peer.pulse()
