@@ -53,7 +53,7 @@ def _results(folder: Path, archive: object) -> tuple[float, float]:
     """Milliseconds of processor and wall a result."""
     camera = {"kind": "replay", "paths": [str(Path(__file__).parents[1] / "config" / "frames")], "rate_hz": 0}
     file, port = settings_file(folder, archive=archive, camera=camera)
-    command = [sys.executable, "-m", "inspector.cli", "run", "--config", str(file)]
+    command = [sys.executable, "-m", "inspector", "run", "--config", str(file)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as service:
         try:
             first = _wait_for(port, WARM)

@@ -27,9 +27,9 @@ from pathlib import Path
 from station import ROOT, cpu_s, free_port, memory_mib, registers, settings_file
 
 from inspector import imagefile, snapshots
-from inspector.daemon import inspection_of
 from inspector.model import Frame, Snapshot
 from inspector.publish.plc_server import PlcServer
+from inspector.service.daemon import inspection_of
 from inspector.settings import load
 
 FRAMES_HZ = 50

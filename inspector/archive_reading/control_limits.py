@@ -10,10 +10,10 @@ from inspector.archive_reading.kept import defects_of, version_of
 from inspector.archive_reading.store_reader import StoreReader
 from inspector.judge.spc.monitor import Monitor
 from inspector.judge.spc.settings import StatisticsSettings
-from inspector.line_history import extent_of, panel_of
 from inspector.line_statistics import Rule
 from inspector.model import Extent, Snapshot, Verdict
 from inspector.reinspection import Reinspection
+from inspector.service.line_history import extent_of, panel_of
 from inspector.settings_version import VersionWrong
 
 COLUMNS = "r.id, r.at_s, r.recipe_id, r.verdict, r.settings, r.frame_count"

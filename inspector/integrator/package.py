@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from firmware_bridge import whole_file
-from inspector import handshake_page, lifecycle
+from inspector import lifecycle
+from inspector.commands import handshake_page
 from inspector.integrator import byte_examples, commissioning, node_red, structured_text
 from inspector.publish import registers_page
 from inspector.publish.registers import MAP_VERSION

@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 
 from inspector.archive import entries
 from inspector.archive.store import FILE, Run, Store
-from inspector.cli import app
+from inspector.cli.app import app
 from inspector.model import Snapshot, Verdict
 
 CONFIG = Path(__file__).parents[2] / "config/demo.yaml"

@@ -21,7 +21,7 @@ from firmware_bridge.simulators.module_server import WireFault
 from firmware_bridge.wire.profiles import PROFILES
 from inspector.acquire.device_faults import fault_of
 from inspector.acquire.keeper import Keeper, Retry
-from inspector.fault_table import ROWS, FaultRow
+from inspector.commands.fault_table import ROWS, FaultRow
 
 WIRES = [(name, tcp) for name, profile in PROFILES.items() for tcp in (False, True) if tcp or profile.has_serial]
 DEADLINE_S = 0.25

@@ -23,7 +23,7 @@ PEERS = Path(__file__).parents[1] / "peers"
 SHAPE = {"width_px": 64, "height_px": 48}
 COMMANDS = {
     "ccd_head": [sys.executable, "-m", "firmware_bridge.simulators.ccd_head"],
-    "command": [sys.executable, "-m", "inspector.cli", "simulate-device", "ccd"],
+    "command": [sys.executable, "-m", "inspector", "simulate-device", "ccd"],
 }
 HEARD = {
     "dalsa": ["sem 2", "set 5500", "get set", "set 18.475", "get set"],

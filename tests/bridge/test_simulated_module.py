@@ -23,7 +23,7 @@ from firmware_bridge.wire.profiles import PROFILES
 
 COMMANDS = {
     "module": [sys.executable, "-m", "firmware_bridge.simulators.module"],
-    "command": [sys.executable, "-m", "inspector.cli", "simulate-device", "module"],
+    "command": [sys.executable, "-m", "inspector", "simulate-device", "module"],
 }
 
 

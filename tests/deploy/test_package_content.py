@@ -20,7 +20,7 @@ pytestmark = [pytest.mark.long, pytest.mark.timeout(1800)]
 REPOSITORY = Path(__file__).parents[2]
 DEBIAN_12 = {"python_full_version": "3.11.2", "python_version": "3.11", "sys_platform": "linux"}
 BUILD_ONLY = {"setuptools"}
-START = f"import sys; sys.path.insert(0, '/{SITE}'); from inspector.cli import main; main()"
+START = f"import sys; sys.path.insert(0, '/{SITE}'); from inspector.cli.app import main; main()"
 """The command: an emulated program cannot start another, as its first line would."""
 DOC = "usr/share/doc/seed-inspector"
 OF_DEBIAN = r"lib(c|m|gcc_s|stdc\+\+|z|pthread|dl|rt)\.so\.\d+|ld-linux-.*"
@@ -64,7 +64,7 @@ def test_no_address_and_no_path_of_the_building_machine_is_in_what_is_generated(
     text = "\n".join(path.read_text() for path in made if path.is_file())
     assert not re.findall(r"/(?:tmp|root|home)/", text)
     compiled = unpacked / SITE / "inspector/__pycache__/cli.cpython-311.pyc"
-    assert f"/{SITE}/inspector/cli.py".encode() in compiled.read_bytes()
+    assert f"/{SITE}/inspector/cli/app.py".encode() in compiled.read_bytes()
 
 
 def test_libraries_need_only_each_other_and_what_the_package_depends_on(unpacked: Path) -> None:
@@ -103,7 +103,7 @@ def test_on_aarch64_it_inspects_a_frame_to_the_same_heights(aarch64: Path, frame
     shutil.copytree(frames_folder, aarch64 / "frames")
     emulated = ["chroot", str(aarch64), "/emulator", "/usr/bin/python3", "-I", "-c", START]
     there = inspect([*emulated], Path("/frames"))
-    here = inspect([sys.executable, "-P", "-m", "inspector.cli"], frames_folder)
+    here = inspect([sys.executable, "-P", "-m", "inspector"], frames_folder)
     assert len(there) == 4
     assert there == pytest.approx(here, rel=1e-9)
 

@@ -15,7 +15,7 @@ from board_scene import Scene, render
 from typer.testing import CliRunner
 
 from inspector import calibration_file
-from inspector.cli import app
+from inspector.cli.app import app
 
 DATA = Path(__file__).parents[1] / "data"
 TABLE_5_2 = DATA / "thesis" / "table_5_2.csv"
@@ -24,7 +24,7 @@ GRID = ["--pitch-mm", "18.8", "--columns", "6", "--rows", "5"]
 
 
 def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "inspector.cli", "calibrate", *map(str, arguments)]
+    command = [sys.executable, "-m", "inspector", "calibrate", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=60)
 
 

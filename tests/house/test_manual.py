@@ -21,7 +21,7 @@ import typer
 from typer.core import TyperGroup
 from typer.testing import CliRunner
 
-from inspector.cli import app
+from inspector.cli.app import app
 from inspector.faults import Fault
 from inspector.hmi import texts
 
@@ -223,7 +223,7 @@ def test_what_can_be_tried_without_hardware_works(name: str, tmp_path: Path, mon
     monkeypatch.chdir(tmp_path)
     for line in lines:
         if line.startswith("inspector run "):  # it has the process to itself
-            words = [sys.executable, "-m", "inspector.cli", *shlex.split(line)[1:]]
+            words = [sys.executable, "-m", "inspector", *shlex.split(line)[1:]]
             assert subprocess.run(words, capture_output=True, timeout=100).returncode == 0, line
         else:
             done = CliRunner().invoke(app, shlex.split(line)[1:])

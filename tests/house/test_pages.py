@@ -8,8 +8,8 @@ import pytest
 
 from firmware_bridge.wire import profiles_page
 from firmware_bridge.wire.profiles import PROFILES
-from inspector import fault_table
 from inspector.archive_reading import columns
+from inspector.commands import fault_table
 from inspector.faults import Fault
 from inspector.replay import tables
 

@@ -27,8 +27,8 @@ LATER = {f"inspector.{name}" for name in ("daemon", "cycle", "pipeline")} | {"fi
 START = """
 import socket, sys
 from pathlib import Path
-import inspector.cli, inspector.serve
-from inspector.front import Front
+import inspector.cli.app, inspector.service.serve
+from inspector.service.front import Front
 from inspector.publish.plc_server import PlcServer
 from inspector.settings import load
 from inspector.signals import Signals

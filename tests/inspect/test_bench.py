@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from inspector import benchmark
-from inspector.benchmark_frames import CROWDS, SIZES, draw
-from inspector.cli import app
+from inspector.cli.app import app
+from inspector.commands import benchmark
+from inspector.commands.benchmark_frames import CROWDS, SIZES, draw
 from inspector.pipeline import inspect
 
 ALWAYS = set(benchmark.MEANINGS) - set(benchmark.OTHERS.values())

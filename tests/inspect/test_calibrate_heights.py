@@ -11,7 +11,7 @@ import yaml
 from typer.testing import CliRunner, Result
 
 from inspector import calibration_file
-from inspector.cli import app
+from inspector.cli.app import app
 
 HEAD = "note,height_mm,frame,x_mm,y_mm"
 TRUE_GAIN = 1.03

@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 import pytest
 
-from inspector import inspect_files
+from inspector.commands import inspect_files
 from inspector.imagefile import read
 
-COMMAND = [sys.executable, "-m", "inspector.cli", "inspect"]
+COMMAND = [sys.executable, "-m", "inspector", "inspect"]
 DEFECT_KEYS = {"x_mm", "y_mm", "height_um", "height_sigma_um", "direct_px", "mirror_px", "flags"}
 
 

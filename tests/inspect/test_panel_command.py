@@ -12,7 +12,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from inspector.cli import app
+from inspector.cli.app import app
 
 SVG = "{http://www.w3.org/2000/svg}"
 

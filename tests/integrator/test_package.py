@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from inspector.cli import app
-from inspector.control import PlcControl
+from inspector.cli.app import app
 from inspector.integrator import byte_examples, package
 from inspector.integrator.byte_examples import EXCHANGES, SHOWN, STATISTICS, Exchange
 from inspector.model import Snapshot
 from inspector.publish.plc_server import PlcServer
 from inspector.publish.wire_fields import WordOrder
+from inspector.service.control import PlcControl
 
 COMMITTED = Path(__file__).parents[2] / "deploy" / "plc"
 

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from firmware_bridge.simulators.module_server import ModuleServer, WireFault
 from firmware_bridge.simulators.module_state import SimulatedModule
 from firmware_bridge.wire.profiles import PROFILES
-from inspector.cli import app
+from inspector.cli.app import app
 
 DONE, DECLINED, USAGE, UNAVAILABLE, SETTINGS_REFUSED = 0, 1, 2, 69, 78
 UNIT = 3
@@ -213,7 +213,7 @@ def settings_in_use() -> Any:
 
 def test_watching_shows_changes_and_goes_on_over_an_outage(cabinet: Any, wait_until: Any) -> None:
     one = cabinet()
-    command = [sys.executable, "-m", "inspector.cli", "io", "watch", "--config", str(one.file), "--interval-s", "0.02"]
+    command = [sys.executable, "-m", "inspector", "io", "watch", "--config", str(one.file), "--interval-s", "0.02"]
     lines: list[str] = []
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ | {"COLUMNS": "100"}) as watcher:
         assert watcher.stdout is not None

@@ -89,7 +89,7 @@ class Service:
     def __init__(self, config: Path, wait_until: Callable[..., Any], options: list[str], **environment: str) -> None:
         self._wait_until = wait_until
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "inspector.cli", "run", "--config", str(config), *options],
+            [sys.executable, "-m", "inspector", "run", "--config", str(config), *options],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

@@ -24,7 +24,7 @@ from inspector.archive_reading.columns import TABLES, Column
 from inspector.archive_reading.selection import Selection, iso, shift
 from inspector.archive_reading.store_reader import StoreReader
 from inspector.archive_reading.table_files import WRITERS
-from inspector.cli import app
+from inspector.cli.app import app
 from inspector.faults import Fault
 from inspector.model import Verdict
 

@@ -20,13 +20,13 @@ from firmware_bridge.wire import session
 from inspector.archive import result_json
 from inspector.archive.session_frames import inspected, version_file
 from inspector.archive.store import FILE
-from inspector.cli import app
+from inspector.cli.app import app
 from inspector.handshake_table import Control
-from inspector.ledger import Ledger
 from inspector.metrics.table import ARCHIVE
 from inspector.model import Frame
 from inspector.pipeline import Station, inspect
 from inspector.publish.registers import CONTROL_ADDRESS, Status
+from inspector.service.ledger import Ledger
 from inspector.settings import load
 from inspector.settings_version import from_json
 

@@ -19,7 +19,7 @@ import pytest
 from typer.testing import CliRunner
 
 from inspector.archive.session_frames import inspected
-from inspector.cli import app
+from inspector.cli.app import app
 from inspector.sessions import RecordedFrame, read_session
 
 pytestmark = pytest.mark.xdist_group("kept")
@@ -182,7 +182,7 @@ def test_sightings_of_several_frames_are_told_with_their_panel(kept: Any, tmp_pa
     }
     file = station.folder / "panels.yaml"
     file.write_text(json.dumps(settings))
-    command = [sys.executable, "-m", "inspector.cli", "run", "--config", str(file), "--panels", "1"]
+    command = [sys.executable, "-m", "inspector", "run", "--config", str(file), "--panels", "1"]
     subprocess.run(command, check=True, capture_output=True, timeout=60)
     done = run("explain", "1", tmp_path / "archive", "--format", "json")
     said = json.loads(done.stdout)

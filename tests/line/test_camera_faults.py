@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from firmware_bridge.simulators.module_server import ModuleServer
-from inspector.fault_table import ROWS
+from inspector.commands.fault_table import ROWS
 
 TESTS = Path(__file__).parents[1]
 COUNT, APART = 3, 12

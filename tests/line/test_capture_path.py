@@ -31,10 +31,10 @@ from firmware_bridge.errors import (
     WatchdogTripped,
 )
 from firmware_bridge.factory import Devices
-from inspector.cycle import Cycle
 from inspector.faults import Fault
 from inspector.model import Frame, FrameResult, Snapshot, State, Verdict
 from inspector.publish.registers import decode, encode
+from inspector.service.cycle import Cycle
 from inspector.settings import Settings
 
 SEQUENCES = int(os.environ.get("FAULT_SEQUENCES", "200"))

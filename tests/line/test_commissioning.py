@@ -13,7 +13,7 @@ import yaml
 from typer.testing import CliRunner
 
 from firmware_bridge.errors import DeviceGone, NoReply
-from inspector.cli import app
+from inspector.cli.app import app
 from inspector.integrator.commissioning import MBPOLL, SEQUENCE, STEPS, ByHand, Check, Look, Run, Write
 from inspector.model import Defect, FrameResult, Reason, Verdict
 from tests.line.test_daemon import Bench, FakeCamera, bench

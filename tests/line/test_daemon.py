@@ -18,12 +18,12 @@ from firmware_bridge.contracts import CameraCapabilities, CameraFrame
 from firmware_bridge.errors import BridgeError, NoReply
 from firmware_bridge.factory import Devices
 from inspector.calibration_file import CalibrationError
-from inspector.daemon import Daemon, Limits
 from inspector.faults import Fault
-from inspector.front import Front
 from inspector.model import Frame, FrameResult, Reason, State, Verdict
 from inspector.publish.registers import Status
 from inspector.publish.systemd import Notifier
+from inspector.service.daemon import Daemon, Limits
+from inspector.service.front import Front
 from inspector.settings import Settings, load
 from inspector.signals import Signals, StopRequested
 from tests.line.conftest import Plc
@@ -292,7 +292,9 @@ def test_a_result_that_is_held_keeps_its_recipe_over_new_settings(
     assert held["verdict"] == Verdict.PASS
 
 
-@pytest.mark.parametrize("fails", ["inspector.line_history.extent_of", "inspector.daemon.configuration_hash"])
+@pytest.mark.parametrize(
+    "fails", ["inspector.service.line_history.extent_of", "inspector.service.daemon.configuration_hash"]
+)
 def test_settings_that_are_refused_change_nothing_whatever_they_are_refused_for(
     fails: str, bench: Callable[..., Bench], shown: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,12 +9,13 @@ from typing import Any
 
 import pytest
 
-from inspector import daemon, handshake
+from inspector import handshake
+from inspector.commands.handshake_page import as_markdown
 from inspector.dialogues import DIALOGUES, TRACKED, Deed, Dialogue, Inspects, Obeys, Reconnects, Writes, played
-from inspector.handshake_page import as_markdown
 from inspector.handshake_table import TABLE, Event, Step
 from inspector.model import Verdict
 from inspector.publish.registers import CONTROL_ADDRESS
+from inspector.service import daemon
 from tests.line.conftest import Plc
 from tests.line.test_daemon import Bench, bench
 

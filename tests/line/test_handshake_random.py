@@ -18,12 +18,12 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from inspector import handshake
-from inspector.control import PlcControl
 from inspector.handshake import FIFO_RESULTS, ControlBlock, Handshake
 from inspector.handshake_table import Action, Answer, CommandResult, Control, Step
 from inspector.model import Snapshot, State, Verdict
 from inspector.publish.plc_server import PlcServer
 from inspector.publish.registers import CONTROL_ADDRESS
+from inspector.service.control import PlcControl
 from tests.line.conftest import Plc
 from tests.support.plc_program import PlcProgram
 

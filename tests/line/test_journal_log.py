@@ -21,9 +21,9 @@ from hypothesis import strategies as st
 from inspector import journal_log
 from inspector.faults import Fault
 from inspector.journal_log import JournalHandler, TextFormatter, encoded
-from inspector.last_good import log_problems
 from inspector.model import Reason, Snapshot, Verdict
 from inspector.publish.result_log import LogSettings, ResultLog
+from inspector.service.last_good import log_problems
 from inspector.settings import SettingsError, load
 
 
@@ -177,7 +177,8 @@ def test_which_results_the_journal_is_told(results: Any, told: str, caplog: pyte
 
 STDERR_IS_THE_JOURNAL = """
 import os, sys
-from inspector import cli, journal_log
+from inspector.cli import app as cli
+from inspector import journal_log
 found = os.fstat(2)
 os.environ["JOURNAL_STREAM"] = f"{found.st_dev}:{found.st_ino}"
 journal_log.SOCKET = sys.argv[1]

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 
 from firmware_bridge.simulators.module_server import ModuleServer
 from inspector.faults import Fault
-from inspector.last_good import NAME, Begun, begin
 from inspector.model import Snapshot, State
 from inspector.publish.registers import Status
+from inspector.service.last_good import NAME, Begun, begin
+from inspector.service.settings_trial import SettingsTrial, works
 from inspector.settings import Settings, SettingsError, load
-from inspector.settings_trial import SettingsTrial, works
 
 CONFIG = Path(__file__).parents[2] / "config"
 READY, BROKEN = Snapshot(state=State.READY), Snapshot(state=State.ERROR, fault_code=Fault.CAMERA_GONE)

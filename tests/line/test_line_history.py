@@ -11,12 +11,13 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from inspector import calibration_file, line_history
+from inspector import calibration_file
 from inspector.judge.spc.settings import DEFAULT_ACTIONS
-from inspector.line_history import Extent, LineHistory, extent_of
 from inspector.line_statistics import Action, Statistics
 from inspector.model import Defect, FloatArray, Snapshot, Verdict
 from inspector.pipeline import Station
+from inspector.service import line_history
+from inspector.service.line_history import Extent, LineHistory, extent_of
 from inspector.settings import Settings, SettingsError, check, configuration_hash, load
 
 ROOT = Path(__file__).parents[2]

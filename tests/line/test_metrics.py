@@ -149,7 +149,8 @@ def test_a_reload_moves_the_page_and_takes_it_away(
 
 def test_a_station_without_metrics_loads_nothing_for_them() -> None:
     script = (
-        "import sys, inspector.daemon; print([m for m in ('inspector.metrics.text', 'asyncio') if m in sys.modules])"
+        "import sys, inspector.service.daemon\n"
+        "print([m for m in ('inspector.metrics.text', 'asyncio') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout == "[]\n"

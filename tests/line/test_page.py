@@ -38,7 +38,7 @@ class PageProcess:
     def __init__(self, station: Any, port: int, wait_until: Callable[..., Any]) -> None:
         file = station.folder / "page.yaml"
         file.write_text(yaml.safe_dump(station.settings | {"plc": {"port": port}, "page": {"port": 0}}))
-        command = [sys.executable, "-m", "inspector.cli", "page", "--config", str(file)]
+        command = [sys.executable, "-m", "inspector", "page", "--config", str(file)]
         self.log = station.folder / "page.log"
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(command, stdout=log, stderr=log)
@@ -290,7 +290,7 @@ def test_a_crowd_that_says_nothing_gives_its_places_back(
 
 def test_a_page_whose_port_is_taken_says_so(station: Any, server: Callable[..., PageServer]) -> None:
     taken = server(10.0).port
-    command = [sys.executable, "-m", "inspector.cli", "page", "--config", str(station.file), "--port", str(taken)]
+    command = [sys.executable, "-m", "inspector", "page", "--config", str(station.file), "--port", str(taken)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 69
     assert f"127.0.0.1:{taken}" in done.stderr

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from firmware_bridge.errors import BridgeError, NoReply
-from inspector.cycle import Turn
 from inspector.handshake import Order
 from inspector.handshake_table import Action
 from inspector.model import Frame, FrameResult, PanelFrames, PanelResult, Snapshot, Verdict
 from inspector.panel_settings import PanelSettings
-from inspector.panel_work import PanelWork
+from inspector.service.cycle import Turn
+from inspector.service.panel_work import PanelWork
 
 TRAVEL = {"by": {"kind": "pitch", "mm_per_frame": 10.0}}
 BY_INPUT = {"kind": "digital_input", "channel": 3, "active": "off", "debounce_s": 0.1, "poll_s": 0.05}

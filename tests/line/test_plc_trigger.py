@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from inspector.control import PANEL_MARKS, PlcControl
 from inspector.handshake_table import Action, Answer, Command, CommandResult, Control
 from inspector.model import Snapshot, State, Verdict
 from inspector.publish.plc_server import PlcServer, PlcServerError
 from inspector.publish.registers import CONTROL_ADDRESS, Status
+from inspector.service.control import PANEL_MARKS, PlcControl
 from tests.line.conftest import Plc
 from tests.line.test_daemon import Bench, bench, reload, shown
 

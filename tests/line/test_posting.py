@@ -17,15 +17,15 @@ from hypothesis import strategies as st
 from firmware_bridge import factory
 from firmware_bridge.errors import NoReply, Refused
 from firmware_bridge.wire.modbus import MAX_WRITE_REGISTERS, Table
-from inspector import posting
 from inspector.faults import Fault
 from inspector.handshake_table import Answer
 from inspector.model import Defect, Flag, Reason, Snapshot, State, Verdict
-from inspector.posting import Poster
 from inspector.publish import outbox
 from inspector.publish.outbox import Outbox
 from inspector.publish.plc_settings import PostSettings
 from inspector.publish.registers import RESULT_WORDS, decode
+from inspector.service import posting
+from inspector.service.posting import Poster
 from inspector.settings import SettingsError, load
 from tests.line.test_daemon import Bench, bench
 

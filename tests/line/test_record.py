@@ -15,7 +15,7 @@ from firmware_bridge.wire import session
 from inspector import imagefile, settings_version
 from inspector.archive import result_json
 from inspector.archive.session_frames import inspected, version_file
-from inspector.cli import app
+from inspector.cli.app import app
 from inspector.faults import Fault
 from inspector.model import Frame, Verdict
 from inspector.pipeline import Station, inspect

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from inspector.cli import app
+from inspector.cli.app import app
 from inspector.integrator.byte_examples import MOVING, STATISTICS
 from inspector.model import Defect, Extent, Flag, PlcSide, Reason, Snapshot, State, Verdict
 from inspector.publish import registers

@@ -65,7 +65,7 @@ def test_registers_equal_what_inspect_says_of_the_same_frames(
     station.settings["camera"]["rate_hz"] = 5
     station.write()
     frames = sorted(station.frames.iterdir())
-    command = [sys.executable, "-m", "inspector.cli", "inspect", *map(str, frames), "--format", "jsonl"]
+    command = [sys.executable, "-m", "inspector", "inspect", *map(str, frames), "--format", "jsonl"]
     options = ["--calibration", station.settings["calibration"], "--recipe", str(recipe)]
     said = subprocess.run(command + options, capture_output=True, text=True, timeout=60)
     expected = {Path(row["frame"]).name: row for row in map(json.loads, said.stdout.splitlines())}
@@ -338,7 +338,7 @@ def test_a_terminal_that_goes_away_is_no_fault(
     station: Any, module: Callable[[], ModuleServer], wait_until: Callable[..., Any]
 ) -> None:
     server = module()
-    command = [sys.executable, "-m", "inspector.cli", "run", "--config", str(station.file), "--panels", "5"]
+    command = [sys.executable, "-m", "inspector", "run", "--config", str(station.file), "--panels", "5"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None
         assert process.stderr is not None

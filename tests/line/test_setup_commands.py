@@ -20,9 +20,10 @@ from firmware_bridge import factory
 from firmware_bridge.contracts import CameraCapabilities, CameraFrame
 from firmware_bridge.errors import NoReply
 from firmware_bridge.simulators.module_server import ModuleServer, WireFault
-from inspector import bench, doctor, expose, lamp_calibrate, yaml_edit
-from inspector.cli import app
-from inspector.doctor import Finding, State, examine
+from inspector import yaml_edit
+from inspector.cli.app import app
+from inspector.commands import bench, doctor, expose, lamp_calibrate
+from inspector.commands.doctor import Finding, State, examine
 from inspector.settings import load
 
 SPOTS = np.array([[200.3, 200.4], [212.7, 201.1]])

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from inspector.cli import app
+from inspector.cli.app import app
 from inspector.settings import load
 
 CONFIG = Path(__file__).parents[2] / "config"

@@ -13,11 +13,11 @@ from drawn import Drawing
 
 from firmware_bridge.contracts import CameraCapabilities, CameraFrame
 from firmware_bridge.factory import Devices
-from inspector.cycle import Cycle
 from inspector.detect.highlights import find
 from inspector.faults import Fault
 from inspector.model import Flag, Frame, FrameResult, Image, Snapshot, State, Verdict
 from inspector.recipe import Detection
+from inspector.service.cycle import Cycle
 from inspector.settings import Settings
 
 SHAPE = (60, 80)

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from inspector.cli import app
+from inspector.cli.app import app
 from inspector.judge.spc.settings import StatisticsSettings
 from inspector.lab.booth import Booth, BoothSettings, Deed, PaintedPanel
 from inspector.lab.plc_program import PlcProgram
-from inspector.loop_demo import LiveStation, plc_process
-from inspector.loop_plot import svg
-from inspector.loop_proof import LOOP, UNTENDED, History, compare_keeping, tended, untended
+from inspector.loop.demo import LiveStation, plc_process
+from inspector.loop.plot import svg
+from inspector.loop.proof import LOOP, UNTENDED, History, compare_keeping, tended, untended
 
 SEEDS, PANELS = 2, 700
 DEADLINE_S = 60.0

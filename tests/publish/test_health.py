@@ -16,9 +16,9 @@ from typing import Any
 
 import pytest
 
-from inspector import health
+from inspector.commands import health
+from inspector.commands.health import EXIT_HEALTHY, EXIT_NO_ANSWER, EXIT_NOT_WELL
 from inspector.faults import Fault
-from inspector.health import EXIT_HEALTHY, EXIT_NO_ANSWER, EXIT_NOT_WELL
 from inspector.model import Snapshot, State
 from inspector.publish import address
 from inspector.publish.plc_server import PlcServer
@@ -92,7 +92,7 @@ def test_the_command_finds_the_service_by_its_address_file(served: Any, tmp_path
         os.umask(before)
     assert (tmp_path / address.NAME).stat().st_mode & 0o777 == 0o644
     assert json.loads((tmp_path / address.NAME).read_text()) == [HOST, port, 1]
-    command = [sys.executable, "-m", "inspector.cli", "health", "--address-file"]
+    command = [sys.executable, "-m", "inspector", "health", "--address-file"]
     done = subprocess.run([*command, tmp_path / address.NAME], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout) == (EXIT_HEALTHY, f"{HOST}:{port}: READY\n")
 

@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from inspector.cli import app
+from inspector.cli.app import app
 from inspector.handshake_table import Control
 from inspector.model import Defect, Flag, Reason, Snapshot, State, Verdict
 from inspector.publish import registers

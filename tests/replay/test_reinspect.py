@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 
 from firmware_bridge.wire import session
 from inspector.change_options import Asked
-from inspector.cli import app
+from inspector.cli.app import app
 from inspector.replay import reinspect
 from inspector.replay import tables as table_columns
 from inspector.replay.tables import Written

@@ -24,7 +24,7 @@ from typer.testing import CliRunner, Result
 from firmware_bridge.wire import session
 from inspector import imagefile
 from inspector.change_options import Asked
-from inspector.cli import app
+from inspector.cli.app import app
 from inspector.replay import command, workers
 from inspector.replay.command import Output
 from inspector.replay.plan import Plan

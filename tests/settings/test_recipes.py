@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from firmware_bridge.contracts import CameraCapabilities
-from inspector import recipe_choice
-from inspector.cli import app
-from inspector.expose import _where
+from inspector.cli.app import app
+from inspector.commands.expose import _where
 from inspector.recipe import AutomaticExposure, Limits, Recipe, Rectangle, Zone, content_hash
 from inspector.recipe_proof import beyond_camera, misfits
+from inspector.service import recipe_choice
 from inspector.settings import SettingsError, configuration_hash, load, with_recipe
 
 CONFIG = Path(__file__).parents[2] / "config"

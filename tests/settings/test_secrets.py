@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from inspector import credential
-from inspector.permissions import misfits
 from inspector.publish.plc_settings import TlsSettings
+from inspector.service.permissions import misfits
 from inspector.settings import SettingsError, load
 
 CONFIG = Path(__file__).parents[2] / "config"

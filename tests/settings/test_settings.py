@@ -11,10 +11,10 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from inspector.cli import app
+from inspector.cli.app import app
+from inspector.commands.settings_commands import schema
 from inspector.cycle_settings import Timed
 from inspector.settings import SettingsError, check, configuration_hash, load
-from inspector.settings_commands import schema
 
 CONFIG = Path(__file__).parents[2] / "config"
 

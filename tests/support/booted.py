@@ -41,7 +41,7 @@ exec cat
 # A Python with a library of its own knows it by a path that may be in somebody's home, where the service may not go.
 _COMMAND = f"""\
 #!/bin/sh
-LD_LIBRARY_PATH={PROGRAM}/python/lib exec {PROGRAM}/.venv/bin/python -m inspector.cli "$@"
+LD_LIBRARY_PATH={PROGRAM}/python/lib exec {PROGRAM}/.venv/bin/python -m inspector "$@"
 """
 _UNITS_OF_THIS_MACHINE = ("etc/systemd/system", *(f"etc/rc{level}.d" for level in "S0123456"))
 _STATION_OF_THIS_MACHINE = ("etc/inspector", "var/lib/inspector", "var/lib/private/inspector")

@@ -20,7 +20,9 @@ from inspector.publish.registers import CONTROL_ADDRESS, RESULT_ADDRESS, RESULT_
 from tests.support.plc_program import PlcProgram
 
 _CONTEXT = multiprocessing.get_context("forkserver")
-_CONTEXT.set_forkserver_preload(["inspector.serve", "inspector.daemon", "inspector.journal_log", "tests.support.lives"])
+_CONTEXT.set_forkserver_preload(
+    ["inspector.service.serve", "inspector.service.daemon", "inspector.journal_log", "tests.support.lives"]
+)
 _AT = {row.name: row.address - RESULT_ADDRESS for row in RESULT_REGISTERS}
 _HEAD_WORDS = 64
 _PAUSE_S = 0.0005
@@ -29,7 +31,7 @@ _PAUSE_S = 0.0005
 
 def _live(config: Path, output: Path) -> None:
     """One life: what it prints and logs goes into the file."""
-    from inspector import serve
+    from inspector.service import serve
 
     with output.open("ab", buffering=0) as file:
         os.dup2(file.fileno(), 1)

@@ -19,6 +19,6 @@ def archive_backup(
 
     Exit status: 0 done, 1 not possible (it says why), 78 the settings are refused.
     """
-    from inspector import archive_commands
+    from inspector.commands import archive_commands
 
     raise typer.Exit(archive_commands.back_up(config, output))

@@ -8,15 +8,15 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import replace
 
-from inspector import recipe_choice
-from inspector.control import PlcControl
 from inspector.lifecycle import Event, after
 from inspector.metrics.observed import Observed
 from inspector.model import Snapshot
-from inspector.outlets import Outlets
 from inspector.publish.systemd import Notifier
 from inspector.recipe import content_hash
 from inspector.sequence_file import SequenceFile
+from inspector.service import recipe_choice
+from inspector.service.control import PlcControl
+from inspector.service.outlets import Outlets
 from inspector.settings import Settings, configuration_hash
 from inspector.signals import Signals
 

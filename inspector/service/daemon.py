@@ -1,6 +1,6 @@
-"""The service behind its registers (:mod:`inspector.front`): for each trigger one cycle and one published result.
+"""The service behind its registers (:mod:`inspector.service.front`): for each trigger one cycle and one result.
 
-The cycle (:mod:`inspector.cycle`) runs in the main thread, and that is all that feeds the watchdogs: the PLC's,
+The cycle (:mod:`inspector.service.cycle`) runs in the main thread, and that is all that feeds the watchdogs: the PLC's,
 systemd's and, while the station waits, the I/O module's. The service ends only when it is asked to.
 """
 
@@ -16,24 +16,25 @@ from pathlib import Path
 
 from firmware_bridge import factory
 from firmware_bridge.errors import BridgeError, NoTrigger
-from inspector import calibration_file, line_history, pace, recipe_choice, snapshots
+from inspector import calibration_file, snapshots
 from inspector.acquire.trigger import Trigger
 from inspector.clock import ClockWatch
-from inspector.cycle import Cycle
 from inspector.faults import Fault
-from inspector.front import Front, described
 from inspector.handshake_table import Command
-from inspector.last_good import Begun, log_problems
-from inspector.ledger import Ledger
 from inspector.lifecycle import Event, after
 from inspector.model import Frame, PanelResult, Snapshot
-from inspector.panel_work import PanelWork
-from inspector.plc_commands import carried_out
 from inspector.publish import console
 from inspector.publish.plc_server import PlcServerError
 from inspector.publish.result_log import Tell, on_terminal
+from inspector.service import line_history, pace, recipe_choice
+from inspector.service.cycle import Cycle
+from inspector.service.front import Front, described
+from inspector.service.last_good import Begun, log_problems
+from inspector.service.ledger import Ledger
+from inspector.service.panel_work import PanelWork
+from inspector.service.plc_commands import carried_out
+from inspector.service.settings_trial import SettingsTrial
 from inspector.settings import Settings, SettingsError, configuration_hash, load, with_recipe
-from inspector.settings_trial import SettingsTrial
 from inspector.signals import Signals, StopRequested
 from inspector.stages import Inspection, inspection_of
 

@@ -12,11 +12,12 @@ import typer
 
 from firmware_bridge import factory
 from firmware_bridge.wire.session import Recorded
-from inspector import bench, settings_version
+from inspector import settings_version
 from inspector.archive.session_frames import Inspected, Kept
 from inspector.archive.session_writer import SessionWriter
-from inspector.bench import Bench, Build, NotPossible
 from inspector.calibration_file import CalibrationError
+from inspector.commands import bench
+from inspector.commands.bench import Bench, Build, NotPossible
 from inspector.stages import inspection_of
 
 

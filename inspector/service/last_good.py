@@ -1,7 +1,8 @@
 """The last settings that brought the station to Ready, kept over restarts: begun with where the file is refused.
 
 One file of the folder that systemd gives the service for its state has them whole, with their calibration. Settings
-that were taken back (:mod:`inspector.settings_trial`) stay refused over restarts, until a reload asks for them again.
+that were taken back (:mod:`inspector.service.settings_trial`) stay refused over restarts, until a reload asks for
+them again.
 """
 
 from __future__ import annotations

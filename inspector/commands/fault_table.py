@@ -259,8 +259,8 @@ _PLC_SEES = {
 _PAGE = """\
 # What goes wrong, and what is then true
 
-Made from `inspector/faults.py` and `inspector/fault_table.py` by `inspector faults --format markdown`; a test fails
-when this page is stale.
+Made from `inspector/faults.py` and `inspector/commands/fault_table.py` by `inspector faults --format markdown`; a test
+fails when this page is stale.
 
 ## What to do
 

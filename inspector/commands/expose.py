@@ -10,11 +10,12 @@ from pathlib import Path
 import typer
 
 from firmware_bridge import factory
-from inspector import bench, calibration_file, yaml_edit
+from inspector import calibration_file, yaml_edit
 from inspector.acquire import exposure
 from inspector.acquire.exposure import Bounds, Brightness, Level
 from inspector.acquire.tuning import Tuning
-from inspector.bench import Bench, Build, NotPossible
+from inspector.commands import bench
+from inspector.commands.bench import Bench, Build, NotPossible
 from inspector.pipeline import Station, inspect
 from inspector.recipe import AutomaticExposure
 

@@ -23,11 +23,12 @@ import typer
 from firmware_bridge import factory
 from firmware_bridge.errors import BridgeError, NoTrigger
 from firmware_bridge.links.ports import open_serial
-from inspector import calibration_file, permissions, yaml_document
+from inspector import calibration_file, yaml_document
 from inspector.acquire.fresh import FreshFrames
 from inspector.clock import synchronised
-from inspector.last_good import state_folder
 from inspector.publish.plc_server import PlcServer, PlcServerError
+from inspector.service import permissions
+from inspector.service.last_good import state_folder
 from inspector.settings import Settings, SettingsError, load
 
 EXIT_CAN_RUN, EXIT_CANNOT_RUN = 0, 1

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from inspector.benchmark_frames import CROWDS, SIZES, Case, draw
+from inspector.commands.benchmark_frames import CROWDS, SIZES, Case, draw
 from inspector.detect import highlights, kernel, lit, pairs, spots
 from inspector.detect.fit import Response
 from inspector.estimate import heights

@@ -13,10 +13,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from inspector import last_good, settings_version
+from inspector import settings_version
 from inspector.faults import Fault
-from inspector.last_good import Begun
 from inspector.model import Snapshot, State
+from inspector.service import last_good
+from inspector.service.last_good import Begun
 from inspector.settings import Settings
 from inspector.settings_version import SettingsVersion
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from firmware_bridge import whole_file
 from inspector import calibration_file, panel_map, result_text
-from inspector.inspect_files import inspect_file
+from inspector.commands.inspect_files import inspect_file
 from inspector.judge.panel import PanelStation, judge_panel
 from inspector.model import FrameResult, PanelFrame, PanelFrames, PanelResult, Verdict
 from inspector.panel_settings import LineSpeed, Pitch, Travel

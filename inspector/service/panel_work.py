@@ -11,11 +11,11 @@ from dataclasses import replace
 from firmware_bridge.errors import BridgeError
 from inspector.acquire.outage import Outage
 from inspector.acquire.panels import NO_FRAME, Done, Panels
-from inspector.cycle import Turn
 from inspector.handshake import Order
 from inspector.handshake_table import Action
 from inspector.model import PanelFrames, PanelResult, Reason, Verdict
 from inspector.panel_settings import ByInput
+from inspector.service.cycle import Turn
 from inspector.settings import Settings
 from inspector.stages import Judging, judging_of
 

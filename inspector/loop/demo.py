@@ -18,16 +18,16 @@ from dataclasses import dataclass, replace
 from statistics import fmean
 from typing import Any
 
-from inspector.control import PlcControl
 from inspector.handshake_table import Command
 from inspector.judge.spc.monitor import Monitor
 from inspector.judge.spc.settings import StatisticsSettings
-from inspector.loop_proof import RECIPE_ID, TendedBooth, panel_of
+from inspector.loop.proof import RECIPE_ID, TendedBooth, panel_of
 from inspector.model import Defect, Snapshot, State, Verdict
-from inspector.plc_commands import carried_out
 from inspector.publish import console
 from inspector.publish.plc_server import PlcServer, PlcServerError
 from inspector.publish.statistics_registers import STATISTICS_ADDRESS
+from inspector.service.control import PlcControl
+from inspector.service.plc_commands import carried_out
 
 Orders = queue.SimpleQueue[dict[str, Any]]
 EXIT_PORT_TAKEN = 69

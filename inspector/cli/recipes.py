@@ -16,7 +16,7 @@ WantedRecipe = Annotated[str, typer.Argument(metavar="RECIPE", help="Its id or n
 @recipe_app.command("list")
 def recipe_list(config: SettingsFile) -> None:
     """A line for each recipe; the one in use has a star. Exit status: 0 done, 78 settings refused."""
-    from inspector import recipe_commands
+    from inspector.commands import recipe_commands
 
     raise typer.Exit(recipe_commands.list_recipes(config))
 
@@ -24,7 +24,7 @@ def recipe_list(config: SettingsFile) -> None:
 @recipe_app.command("show")
 def recipe_show(config: SettingsFile, recipe: WantedRecipe) -> None:
     """A recipe with its defaults filled in. Exit status: 0 done, 1 no such recipe, 78 settings refused."""
-    from inspector import recipe_commands
+    from inspector.commands import recipe_commands
 
     raise typer.Exit(recipe_commands.show(config, recipe))
 
@@ -32,7 +32,7 @@ def recipe_show(config: SettingsFile, recipe: WantedRecipe) -> None:
 @recipe_app.command("check")
 def recipe_check(config: SettingsFile) -> None:
     """Say whether every recipe is right for the station. Exit status: 0 all are, 78 what is wrong is on stderr."""
-    from inspector import recipe_commands
+    from inspector.commands import recipe_commands
 
     raise typer.Exit(recipe_commands.check(config))
 
@@ -40,6 +40,6 @@ def recipe_check(config: SettingsFile) -> None:
 @recipe_app.command("use")
 def recipe_use(config: SettingsFile, recipe: WantedRecipe) -> None:
     """Write the choice into the settings file. Exit status: 0 done, 1 no such recipe or not written, 78 refused."""
-    from inspector import recipe_commands
+    from inspector.commands import recipe_commands
 
     raise typer.Exit(recipe_commands.use(config, recipe))

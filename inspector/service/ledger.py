@@ -23,10 +23,10 @@ from inspector.archive.recorder import Plan, Recorder, Version
 from inspector.archive.session_frames import Inspected
 from inspector.archive.store import Run
 from inspector.archive.store_writer import StoreWriter
-from inspector.cycle import Turn
 from inspector.metrics.observed import faults_of
 from inspector.model import Image, PanelResult, Snapshot, Verdict
 from inspector.recipe import Recipe, content_hash
+from inspector.service.cycle import Turn
 from inspector.settings import Settings
 
 HOURS_STEP = 0.1

@@ -18,7 +18,7 @@ def health(
 
     Exit status: 0 healthy, 1 it answers and is not well, 69 it answers nothing, 78 the settings are refused.
     """
-    from inspector import health as command
+    from inspector.commands import health as command
 
     if (config is None) is (address_file is None):
         raise typer.BadParameter("say either --config or --address-file")

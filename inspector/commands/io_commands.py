@@ -15,8 +15,8 @@ from firmware_bridge.drivers.modbus_module import Found, ModbusModule
 from firmware_bridge.errors import BridgeError, OutOfRange, WatchdogTripped
 from firmware_bridge.factory import build_module
 from firmware_bridge.wire.profiles_page import HEADINGS, rows
-from inspector import io_points
-from inspector.io_points import IoPoint
+from inspector.commands import io_points
+from inspector.commands.io_points import IoPoint
 from inspector.settings import DeviceSettings, SettingsError, load_devices
 
 EXIT_DONE, EXIT_DECLINED, EXIT_USAGE, EXIT_UNAVAILABLE, EXIT_SETTINGS_REFUSED = 0, 1, 2, 69, 78

@@ -31,7 +31,7 @@ from inspector.publish.registers import (
 )
 
 if TYPE_CHECKING:
-    from inspector.posting import Poster
+    from inspector.service.posting import Poster
 
 log = logging.getLogger(__name__)
 

@@ -6,13 +6,14 @@ import logging
 import sys
 from pathlib import Path
 
-from inspector import journal_log, last_good
-from inspector.front import Front
+from inspector import journal_log
 from inspector.journal_log import JournalHandler, TextFormatter, leads_to_journal
-from inspector.last_good import log_problems
 from inspector.metrics.table import Gauges
 from inspector.publish.plc_server import PlcServerError
 from inspector.publish.result_log import ResultLog, on_terminal
+from inspector.service import last_good
+from inspector.service.front import Front
+from inspector.service.last_good import log_problems
 from inspector.settings import SettingsError
 from inspector.signals import Signals
 
@@ -42,9 +43,9 @@ def run(file: Path, panels: int | None = None, duration_s: float | None = None) 
     except PlcServerError as error:
         log.error("%s", error)
         return EXIT_PORT_TAKEN
-    from inspector import permissions  # the registers are answered while these are imported
-    from inspector.daemon import Daemon, Limits
-    from inspector.settings_trial import SettingsTrial
+    from inspector.service import permissions  # the registers are answered while these are imported
+    from inspector.service.daemon import Daemon, Limits
+    from inspector.service.settings_trial import SettingsTrial
 
     folder = last_good.state_folder()
     for misfit in permissions.misfits(file, begun.settings, folder):

@@ -11,19 +11,19 @@ import time
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
-from inspector.control import PlcControl
 from inspector.cycle_settings import Timed
 from inspector.metrics.observed import Observed
 from inspector.model import Snapshot
 from inspector.publish import address, console
 from inspector.publish.plc_server import PRODUCT, PlcServer, PlcServerError, as_stalled
 from inspector.publish.systemd import Notifier
+from inspector.service.control import PlcControl
 from inspector.settings import Settings
 
 if TYPE_CHECKING:
     from inspector.metrics.server import MetricsServer
     from inspector.metrics.table import Gauges, Scrape
-    from inspector.posting import Poster
+    from inspector.service.posting import Poster
 
 log = logging.getLogger(__name__)
 
@@ -115,7 +115,7 @@ class Outlets:
         self._poster = None
         if plc.post is not None:
             from firmware_bridge import factory  # only stations that post pay for it, before registers are served
-            from inspector.posting import Poster
+            from inspector.service.posting import Poster
 
             master = factory.build_plc_master(plc.post.host, plc.post.port, plc.post.unit, plc.post.deadline_s)
             self._poster = Poster(

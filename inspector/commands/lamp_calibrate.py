@@ -10,9 +10,10 @@ import typer
 
 from firmware_bridge import factory
 from firmware_bridge.wire import lamp_curve
-from inspector import bench, calibration_file, lamp_curve_file, yaml_document
+from inspector import calibration_file, lamp_curve_file, yaml_document
 from inspector.acquire import light
-from inspector.bench import Bench, Build, NotPossible
+from inspector.commands import bench
+from inspector.commands.bench import Bench, Build, NotPossible
 from inspector.model import Frame
 
 CLIPPED_SHARE = 0.98

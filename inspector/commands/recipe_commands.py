@@ -9,8 +9,9 @@ from pathlib import Path
 import typer
 import yaml
 
-from inspector import recipe_choice, settings, yaml_edit
+from inspector import settings, yaml_edit
 from inspector.recipe import Recipe, content_hash
+from inspector.service import recipe_choice
 from inspector.settings import Settings, SettingsError, with_recipe
 
 EXIT_DONE, EXIT_NOT_DONE, EXIT_SETTINGS_REFUSED = 0, 1, 78

@@ -9,12 +9,12 @@ from typing import Annotated
 
 import typer
 
-from inspector.cli_archive import archive_app
-from inspector.cli_health import health
-from inspector.cli_page import page
-from inspector.cli_recipes import recipe_app
-from inspector.cli_reports import reports_app
-from inspector.cli_sessions import Method, sessions_app
+from inspector.cli.archive import archive_app
+from inspector.cli.health import health
+from inspector.cli.page import page
+from inspector.cli.recipes import recipe_app
+from inspector.cli.reports import reports_app
+from inspector.cli.sessions import Method, sessions_app
 
 app = typer.Typer(
     name="inspector",
@@ -90,7 +90,7 @@ def inspect(
     overlay: Annotated[Path | None, typer.Option(help="Folder for a picture of each result.")] = None,
 ) -> None:
     """Inspect frames from files. Exit status: 0 all inspected, 1 some not inspected, 2 nothing could be done."""
-    from inspector import inspect_files
+    from inspector.commands import inspect_files
 
     raise typer.Exit(inspect_files.run(frames, calibration, recipe, method, format, overlay))
 
@@ -104,7 +104,7 @@ def panel(
     map: Annotated[Path | None, typer.Option(help="SVG file for the panel's map of seeds.")] = None,
 ) -> None:
     """Inspect frames from files as one panel. Exit status: 0 inspected, 1 not inspected, 2 nothing done, 78 refused."""
-    from inspector import panel_command
+    from inspector.commands import panel_command
 
     raise typer.Exit(panel_command.run(frames, config, step_mm, format.value, map))
 
@@ -156,12 +156,12 @@ def calibrate(
     overlay: Annotated[Path | None, typer.Option(help="Picture; default: beside the output, .overlay.png.")] = None,
 ) -> None:
     """Fit the camera to points or to the image of a board, or the height gain to samples; write a calibration file."""
-    from inspector import calibrate as command
+    from inspector.commands import calibrate as command
 
     with command.refusals():
         command.check_sources(points, board, heights, calibration)
         if heights is not None and calibration is not None:
-            from inspector import calibrate_heights
+            from inspector.commands import calibrate_heights
 
             typer.echo(calibrate_heights.run(heights, calibration, output, tolerance_mm) + f"\n\ncalibration: {output}")
             return
@@ -204,7 +204,7 @@ def run(
 
     Exit status: 0 stopped as asked, 69 the PLC port is taken, 78 the settings are refused.
     """
-    from inspector import serve
+    from inspector.service import serve
 
     raise typer.Exit(serve.run(config, panels, duration_s))
 
@@ -218,7 +218,7 @@ def doctor(
 
     Exit status: 0 the station can run, 1 it cannot.
     """
-    from inspector import doctor as command
+    from inspector.commands import doctor as command
 
     raise typer.Exit(command.run(config, format is ReportFormat.JSON))
 
@@ -234,7 +234,7 @@ def expose(
 
     Exit status: 0 found, 1 there is none (it says why), 69 a device cannot be used, 78 the settings are refused.
     """
-    from inspector import expose as command
+    from inspector.commands import expose as command
 
     raise typer.Exit(command.run(config, frames=frames, settle_s=settle_s, write=write))
 
@@ -250,7 +250,7 @@ def record(
 
     Exit status: 0 recorded, 1 not possible (it says why), 69 a device cannot be used, 78 the settings are refused.
     """
-    from inspector import record as command
+    from inspector.commands import record as command
 
     raise typer.Exit(command.run(config, output, frames=frames, settle_s=settle_s))
 
@@ -268,7 +268,7 @@ def lamp_calibrate(
 
     Exit status: 0 written, 1 not confirmed or no curve, 69 a device cannot be used, 78 the settings are refused.
     """
-    from inspector import lamp_calibrate as command
+    from inspector.commands import lamp_calibrate as command
 
     raise typer.Exit(command.run(config, output, steps=steps, frames=frames, settle_s=settle_s, yes=yes))
 
@@ -281,7 +281,7 @@ def bench(
     """Measure how long each stage takes, beside OpenCV, scikit-image and sep, on frames of 0.3 to 12 megapixels."""
     import json
 
-    from inspector import benchmark
+    from inspector.commands import benchmark
 
     report = benchmark.run(quick=quick, progress=lambda text: typer.echo(text, err=True))
     typer.echo(json.dumps(report.as_json(), indent=1) if format is BenchFormat.JSON else benchmark.table(report))
@@ -305,9 +305,11 @@ def demo(
     if not loop:
         typer.echo("say --loop for the paint loop; for the station: inspector run --config config/demo.yaml", err=True)
         raise typer.Exit(2)
-    from inspector import loop_demo, loop_plot, loop_proof
     from inspector.lab.booth import Booth, Deed
     from inspector.lab.plc_program import PlcProgram
+    from inspector.loop import demo as loop_demo
+    from inspector.loop import plot as loop_plot
+    from inspector.loop import proof as loop_proof
 
     if not seeds:
         pace, plc = loop_demo.Pace(panels, rate), plc or f"{sys.executable} -m inspector.lab.plc_client"
@@ -329,7 +331,7 @@ def states() -> None:
 @app.command()
 def handshake() -> None:
     """Print the integrator's page on the handshake with the PLC: rules, dialogues, table."""
-    from inspector import handshake_page
+    from inspector.commands import handshake_page
 
     typer.echo(handshake_page.as_markdown(), nl=False)
 
@@ -352,7 +354,7 @@ def plc_package(
 @app.command()
 def faults(format: Annotated[PageFormat, typer.Option(help="How to print it.")] = PageFormat.TABLE) -> None:
     """Print what can go wrong: fault, code, what the PLC sees, what the log says, how it recovers."""
-    from inspector import fault_table
+    from inspector.commands import fault_table
 
     typer.echo(fault_table.FORMATS[format.value](), nl=False)
 
@@ -364,7 +366,7 @@ PointNames = Annotated[list[str] | None, typer.Argument(help="Points, such as ao
 @io_app.command("list")
 def io_list(config: StationConfig) -> None:
     """The module's points, without touching it. Exit status: 0 done, 78 settings refused."""
-    from inspector import io_commands
+    from inspector.commands import io_commands
 
     raise typer.Exit(io_commands.list_points(config))
 
@@ -372,7 +374,7 @@ def io_list(config: StationConfig) -> None:
 @io_app.command("read")
 def io_read(config: StationConfig, points: PointNames = None) -> None:
     """What points hold; nothing is written. Exit status: 0 done, 2 no such point, 69 no module, 78 settings refused."""
-    from inspector import io_commands
+    from inspector.commands import io_commands
 
     raise typer.Exit(io_commands.read(config, points or []))
 
@@ -385,7 +387,7 @@ def io_write(
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask, for scripts.")] = False,
 ) -> None:
     """Move an output, after a question. Exit status: 0 done, 1 not confirmed, 2 no such point or value, 69, 78."""
-    from inspector import io_commands
+    from inspector.commands import io_commands
 
     raise typer.Exit(io_commands.write(config, point, value, yes=yes))
 
@@ -398,7 +400,7 @@ def io_watch(
     count: Annotated[int | None, typer.Option(min=1, help="End after so many looks; default: at Ctrl-C.")] = None,
 ) -> None:
     """Every change of points, until Ctrl-C; nothing is written."""
-    from inspector import io_commands
+    from inspector.commands import io_commands
 
     raise typer.Exit(io_commands.watch(config, points or [], interval_s, count))
 
@@ -407,7 +409,7 @@ def io_watch(
 def io_profiles(format: Annotated[PageFormat, typer.Option(help="How to print it.")] = PageFormat.TABLE) -> None:
     """The modules that there are profiles for."""
     from firmware_bridge.wire import profiles_page
-    from inspector import io_commands
+    from inspector.commands import io_commands
 
     if format is PageFormat.MARKDOWN:
         typer.echo(profiles_page.markdown(), nl=False)
@@ -418,7 +420,7 @@ def io_profiles(format: Annotated[PageFormat, typer.Option(help="How to print it
 @config_app.command()
 def check(file: ConfigFile) -> None:
     """Say everything that is wrong with a settings file; exit status 1 if anything is."""
-    from inspector import settings_commands
+    from inspector.commands import settings_commands
 
     raise typer.Exit(settings_commands.check(file))
 
@@ -426,7 +428,7 @@ def check(file: ConfigFile) -> None:
 @config_app.command()
 def schema() -> None:
     """Print the JSON schema of settings, for editors and for people."""
-    from inspector import settings_commands
+    from inspector.commands import settings_commands
 
     typer.echo(settings_commands.schema(), nl=False)
 
@@ -434,7 +436,7 @@ def schema() -> None:
 @config_app.command()
 def show(file: ConfigFile) -> None:
     """Print settings as they are understood, defaults filled in; exit status 1 if they are refused."""
-    from inspector import settings_commands
+    from inspector.commands import settings_commands
 
     raise typer.Exit(settings_commands.show(file))
 
@@ -442,7 +444,3 @@ def show(file: ConfigFile) -> None:
 def main() -> None:
     """Entry point of the `inspector` command."""
     app()
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,1 @@
+"""What the commands do that have no package of their own."""

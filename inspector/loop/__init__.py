@@ -1,0 +1,1 @@
+"""The paint process in closed loop, proved and shown without a plant."""

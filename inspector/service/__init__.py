@@ -1,0 +1,1 @@
+"""The running station: from triggers to results that the PLC reads, for months."""
