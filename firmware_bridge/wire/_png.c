@@ -4,46 +4,57 @@
  * interpreter's lock. Whatever the bytes say, no more is read or written than the arguments allow.
  */
 #include <stdint.h>
+#include <stdlib.h>
 #include <string.h>
 
 typedef int64_t i64;
 
-enum { NONE, SUB, UP };
+enum { NONE, SUB, UP, AVERAGE, PAETH };
 
-/* Bytes less the one before them; the sum stays in a register, where `out` would have to be waited for. */
-static void sub_1(const uint8_t *in, uint8_t *out, i64 n) {
-    uint8_t left = 0;
-    for (i64 i = 0; i < n; i++) out[i] = left = (uint8_t)(left + in[i]);
-}
-
-/* The same for pixels of two bytes. */
-static void sub_2(const uint8_t *in, uint8_t *out, i64 n) {
-    uint8_t high = 0, low = 0;
-    for (i64 i = 0; i + 1 < n; i += 2) {
-        out[i] = high = (uint8_t)(high + in[i]);
-        out[i + 1] = low = (uint8_t)(low + in[i + 1]);
-    }
-}
-
-static void up(const uint8_t *restrict in, const uint8_t *restrict above, uint8_t *restrict out, i64 n) {
+static void up(const uint8_t *in, const uint8_t *above, uint8_t *out, i64 n) {
     for (i64 i = 0; i < n; i++) out[i] = (uint8_t)(above[i] + in[i]);
 }
 
+enum { PIXEL_BYTES = 2 };
+
+static inline int nearest(int left, int up, int corner) {
+    int to_left = abs(up - corner), to_up = abs(left - corner), to_corner = abs(left + up - 2 * corner);
+    int upper = to_up <= to_corner ? up : corner;
+    return to_left <= to_up && to_left <= to_corner ? left : upper;
+}
+
+/* Filters that look to the left, by pixels of `pixel` bytes. What was just written stays in registers, where `out`
+ * would have to be waited for; so `pixel` and `filter` are constants where this is called. */
+static inline void along(int filter, const uint8_t *in, const uint8_t *above, uint8_t *out, i64 n, const int pixel) {
+    uint8_t left[PIXEL_BYTES] = {0}, corner[PIXEL_BYTES] = {0};
+    for (i64 i = 0; i + pixel <= n; i += pixel)
+        for (int k = 0; k < pixel; k++) {
+            uint8_t up = filter == SUB ? 0 : above[i + k];
+            int foretold = filter == SUB ? left[k] : filter == AVERAGE ? (left[k] + up) / 2 : nearest(left[k], up, corner[k]);
+            out[i + k] = left[k] = (uint8_t)(in[i + k] + foretold);
+            corner[k] = up;
+        }
+}
+
+/* One row by its filter, below another; whether there is such a filter. */
+static int undone(int filter, const uint8_t *in, const uint8_t *above, uint8_t *out, i64 n, i64 pixel) {
+    switch (filter) {
+    case NONE: memcpy(out, in, (size_t)n); break;
+    case UP: up(in, above, out, n); break;
+    case SUB: pixel == 1 ? along(SUB, in, above, out, n, 1) : along(SUB, in, above, out, n, 2); break;
+    case AVERAGE: pixel == 1 ? along(AVERAGE, in, above, out, n, 1) : along(AVERAGE, in, above, out, n, 2); break;
+    case PAETH: pixel == 1 ? along(PAETH, in, above, out, n, 1) : along(PAETH, in, above, out, n, 2); break;
+    default: return 0;
+    }
+    return 1;
+}
+
 /* `height` rows, each a filter's number and the bytes of `width` pixels, of `depth` (1 or 2) bytes each, into `out`
- * without the numbers. How many rows are done: height, or those before the first that has another filter. */
+ * without the numbers. How many rows are done: height, or those before the first whose filter there is not. */
 i64 png_rows(const uint8_t *in, i64 height, i64 width, i64 depth, uint8_t *out) {
     i64 n = width * depth;
-    for (i64 row = 0; row < height; row++, in += n + 1, out += n) {
-        if (in[0] == NONE || (in[0] == UP && row == 0))
-            memcpy(out, in + 1, (size_t)n);
-        else if (in[0] == SUB && depth == 1)
-            sub_1(in + 1, out, n);
-        else if (in[0] == SUB)
-            sub_2(in + 1, out, n);
-        else if (in[0] == UP)
-            up(in + 1, out - n, out, n);
-        else
-            return row;
-    }
+    const uint8_t *above = memset(out, 0, (size_t)(height ? n : 0)); /* each byte is read before it is written */
+    for (i64 row = 0; row < height; row++, in += n + 1, above = out, out += n)
+        if (!undone(in[0], in + 1, above, out, n, depth)) return row;
     return height;
 }

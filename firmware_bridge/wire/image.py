@@ -115,8 +115,8 @@ def _png_chunks(data: bytes) -> Chunks | None:
 
 
 def _plain_png(chunks: Chunks) -> npt.NDArray[np.generic] | None:
-    """The image of a grey PNG file as this program writes them, in less than half of OpenCV's time; None: it is of
-    another kind, or wrong in a way that OpenCV is to tell."""
+    """The image of a plain grey PNG file, in about half of OpenCV's time or less; None: it is of another kind, or wrong
+    in a way that OpenCV is to tell."""
     kind, header = chunks[0]
     if kind != b"IHDR" or len(header) != PNG_HEADER.size or {kind for kind, _ in chunks} != PLAIN_CHUNKS:
         return None

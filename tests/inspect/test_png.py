@@ -79,10 +79,10 @@ def test_whatever_rows_say_no_memory_is_written_beside_the_pixels(pixels: Image,
     size, edge = height * width * depth, 64
     room = np.full(size + 2 * edge, 0xA5, np.uint8)
     done = image._png_rows(raw, height, width, depth, room.ctypes.data + edge)
-    known = [n in (0, 1, 2) for n in raw[:: 1 + width * depth]]
+    known = [n <= 4 for n in raw[:: 1 + width * depth]]
     assert done == (known + [False]).index(False)
     assert (room[:edge] == 0xA5).all()
-    assert (room[edge + done * width * depth :] == 0xA5).all()
+    assert (room[edge + max(done, 1) * width * depth :] == 0xA5).all()  # the first row is made ready before it is known
 
 
 @settings(max_examples=100)
