@@ -12,41 +12,30 @@ from typing import Any
 
 from firmware_bridge import whole_file
 from inspector.archive_reading import document, explained, explanation, kept
-from inspector.archive_reading.store_reader import ArchiveUnreadable, StoreReader
+from inspector.archive_reading.status import DIFFERS, DONE, status_of
+from inspector.archive_reading.store_reader import StoreReader
 from inspector.archive_reading.where import place_of
 from inspector.change_options import Unusable
-from inspector.settings import SettingsError
-
-AS_RECORDED, DIFFERS, NOTHING_DONE, SETTINGS_REFUSED = 0, 1, 2, 78
-"""Exit statuses; the last is EX_CONFIG."""
 
 
 def run(
     result: str, archive: Path | None, config: Path | None, frame: int | None, form: str, output: Path | None
 ) -> int:
     """Print the explanation, or write it; the exit status."""
-    try:
+
+    def work() -> int:
         with StoreReader(place_of(archive, config).archive) as store:
             found = kept.kept(store, kept.by_name(store, result))
             if frame is not None and frame not in [one.row["number"] for one in found.frames]:
                 raise Unusable(f"--frame {frame}: result {result} has {len(found.frames)}, counted from 0")
             said = explanation.explain(found, frame)
-    except SettingsError as error:
-        print(error, file=sys.stderr)
-        return SETTINGS_REFUSED
-    except (Unusable, ArchiveUnreadable) as error:
-        print(f"inspector: {error}", file=sys.stderr)
-        return NOTHING_DONE
-    text = FORMS[form](said)
-    try:
         if output is None:
-            sys.stdout.write(text)
+            sys.stdout.write(FORMS[form](said))
         else:
-            whole_file.write(output, text)
-    except OSError as error:
-        print(f"inspector: {output}: not written ({error.strerror})", file=sys.stderr)
-        return NOTHING_DONE
-    return DIFFERS if said["same"] is False else AS_RECORDED
+            whole_file.write(output, FORMS[form](said))
+        return DIFFERS if said["same"] is False else DONE
+
+    return status_of(work, output)
 
 
 def made() -> str:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 from firmware_bridge import whole_file
 from inspector.archive_reading import queries, selection
 from inspector.archive_reading.columns import TABLES
-from inspector.archive_reading.store_reader import ArchiveUnreadable, StoreReader
-from inspector.archive_reading.table_files import NO_EXTRA, WRITERS
+from inspector.archive_reading.status import DONE, status_of
+from inspector.archive_reading.store_reader import StoreReader
+from inspector.archive_reading.table_files import WRITERS
 from inspector.archive_reading.where import place_of
 from inspector.change_options import Unusable
-from inspector.settings import SettingsError
-
-DONE, NOTHING_DONE, SETTINGS_REFUSED = 0, 2, 78
-"""Exit statuses; the last is EX_CONFIG."""
 
 
 def run(
@@ -27,29 +23,19 @@ def run(
     recipe: str | None,
 ) -> int:
     """Write the rows asked for; the exit status. ``span``: from and to."""
-    try:
+
+    def work() -> int:
         wanted, place = selection.of(*span, recipe), place_of(archive, config)
-        count = write(place.archive, output, what, wanted)
-    except SettingsError as error:
-        print(error, file=sys.stderr)
-        return SETTINGS_REFUSED
-    except (Unusable, ArchiveUnreadable) as error:
-        print(f"inspector: {error}", file=sys.stderr)
-        return NOTHING_DONE
-    except ImportError as error:
-        print(f"inspector: {NO_EXTRA} ({error})", file=sys.stderr)
-        return NOTHING_DONE
-    except OSError as error:
-        print(f"inspector: {output}: not written ({error.strerror or error})", file=sys.stderr)
-        return NOTHING_DONE
-    print(f"{count} {what} in {output}")
-    return DONE
+        print(f"{write(place.archive, output, what, wanted)} {what} in {output}")
+        return DONE
+
+    return status_of(work, output)
 
 
 def write(archive: Path, output: Path, what: str, wanted: selection.Selection) -> int:
     """Write a table of the archive, whole or not at all; the number of rows.
 
-    Raises Unusable, ArchiveUnreadable, OSError, and ImportError where the form needs what is not installed.
+    Raises Unusable, ArchiveUnreadable, OSError.
     """
     form, table = WRITERS.get(output.suffix), TABLES[what]
     if form is None:

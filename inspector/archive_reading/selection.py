@@ -65,7 +65,7 @@ def shift(text: str, shifts: Mapping[str, str]) -> Selection:
     except (ValueError, OverflowError, OSError) as error:
         known = ", ".join(shifts) or "none; settings key shifts names them"
         allowed = f"allowed: DATE/HH:MM-HH:MM or DATE/NAME, such as 2026-11-26/06:00-14:00; names: {known}"
-        raise Unusable(f"--shift {text!r}: {allowed}") from error
+        raise Unusable(f"shift {text!r}: {allowed}") from error
 
 
 def iso(unix_s: float | None) -> str | None:

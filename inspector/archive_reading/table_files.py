@@ -13,6 +13,7 @@ from typing import Any, BinaryIO
 
 from inspector.archive_reading.columns import Column
 from inspector.archive_reading.selection import iso
+from inspector.change_options import Unusable
 
 Rows = Iterable[Sequence[Any]]
 """Values in the columns' order, as the store has them."""
@@ -55,9 +56,12 @@ def json_file(file: BinaryIO, columns: Sequence[Column], rows: Rows) -> int:
 
 
 def parquet_file(file: BinaryIO, columns: Sequence[Column], rows: Rows) -> int:
-    """A Parquet file; the number of rows. Raises OSError, and ImportError where pyarrow is missing."""
-    import pyarrow
-    from pyarrow import parquet
+    """A Parquet file; the number of rows. Raises OSError, and Unusable where pyarrow is missing."""
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError as error:
+        raise Unusable(f"{NO_EXTRA} ({error})") from error
 
     schema = pyarrow.schema([_field(pyarrow, column) for column in columns])
     makers = [_timestamp if column.kind == "time" else column.of for column in columns]

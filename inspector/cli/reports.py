@@ -83,16 +83,19 @@ def explain(
 
 @reports_app.command()
 def report(
-    output: Annotated[Path, typer.Option(help="HTML file; all that it shows is in it.")],
+    subject: Annotated[
+        str,
+        typer.Argument(
+            metavar="PANEL|SHIFT",
+            help="A panel's id; DATE/HH:MM-HH:MM, or DATE/NAME with a name of the settings' shifts; result:SEQUENCE; or"
+            " FROM..TO, by sequences or times.",
+        ),
+    ],
     archive: Archive = None,
     config: Config = None,
-    panel: Annotated[int | None, typer.Option(min=1, help="The latest result of the panel with this id.")] = None,
-    result: Annotated[str | None, typer.Option(help="A result, by its sequence or its id of the store.")] = None,
-    shift: Annotated[
-        str | None, typer.Option(help="DATE/HH:MM-HH:MM, or DATE/NAME with a name of the settings' shifts.")
+    output: Annotated[
+        Path | None, typer.Option(help="HTML file; all that it shows is in it. Default: report-SUBJECT.html here.")
     ] = None,
-    begin: From = None,
-    end: To = None,
 ) -> None:
     """Report on a panel, or on a shift, as one HTML file to keep, mail or print.
 
@@ -100,5 +103,4 @@ def report(
     """
     from inspector.archive_reading import report as command
 
-    about = command.About(panel, result, shift, begin, end)
-    raise typer.Exit(command.run(archive, config, about, output))
+    raise typer.Exit(command.run(subject, archive, config, output))

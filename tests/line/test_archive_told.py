@@ -133,7 +133,7 @@ def test_without_its_frame_a_result_is_explained_by_its_rows(archive: Path, tmp_
     heights = stored(archive, "SELECT height_um FROM defect WHERE result & 0xffffffff = 3")
     assert all(f"{height:.1f}" in done.stdout for (height,) in heights)
     assert "over" in done.stdout
-    assert run("report", archive, "--result", "3", "--output", tmp_path / "out.html").exit_code == 0
+    assert run("report", "result:3", archive, "--output", tmp_path / "out.html").exit_code == 0
     page = Page(tmp_path / "out.html")
     assert "it is gone" in page.words
     assert page.images == 0
@@ -142,8 +142,8 @@ def test_without_its_frame_a_result_is_explained_by_its_rows(archive: Path, tmp_
 def test_the_report_on_a_panel_has_all_in_one_file(kept: Any, tmp_path: Path) -> None:
     station, _ = kept
     ((panel, number),) = stored(station.folder / "archive", "SELECT panel_id, id FROM result WHERE sequence = 3")
-    options = ["--panel", panel] if panel else ["--result", number]
-    assert run("report", "--config", station.file, *options, "--output", tmp_path / "out.html").exit_code == 0
+    subject = panel or f"result:{number}"
+    assert run("report", subject, "--config", station.file, "--output", tmp_path / "out.html").exit_code == 0
     page = Page(tmp_path / "out.html")
     assert page.fetched == []
     assert page.images == 1
@@ -159,7 +159,7 @@ def test_the_report_on_a_shift_counts_what_the_store_does(kept: Any, tmp_path: P
     station, _ = kept
     archive, out = station.folder / "archive", tmp_path / "out.html"
     ((day,),) = stored(archive, "SELECT date(min(at_s), 'unixepoch', 'localtime') FROM result")
-    assert run("report", "--config", station.file, "--shift", f"{day}/round the clock", "--output", out).exit_code == 0
+    assert run("report", f"{day}/round the clock", "--config", station.file, "--output", out).exit_code == 0
     page = Page(out)
     assert page.fetched == []
     total = stored(archive, "SELECT count(*) FROM result")[0][0]
@@ -169,11 +169,13 @@ def test_the_report_on_a_shift_counts_what_the_store_does(kept: Any, tmp_path: P
     ((failed,),) = stored(archive, "SELECT count(*) FROM result WHERE verdict = 2")
     assert page.images == min(failed, 24)
     assert "settings" in page.words.lower()
-    assert run("report", archive, "--shift", "2001-01-01/06:00-14:00", "--output", out).exit_code == 0
+    assert run("report", "2001-01-01/06:00-14:00", archive, "--output", out).exit_code == 0
     assert "No result was kept in it." in Page(out).words
 
 
-def test_sightings_of_several_frames_are_told_with_their_panel(kept: Any, tmp_path: Path) -> None:
+def test_sightings_of_several_frames_are_told_with_their_panel(
+    kept: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     station = kept[0]
     settings = station.settings | {
         "panel": {"frames": {"kind": "count", "count": 2}, "travel": {"by": {"kind": "pitch", "mm_per_frame": 0.01}}},
@@ -191,18 +193,21 @@ def test_sightings_of_several_frames_are_told_with_their_panel(kept: Any, tmp_pa
     told = [seed["seed"]["height_um"] for seed in said["panel"]["seeds"]]
     assert told == [seed["height_um"] for seed in said["stored_seeds"]]
     assert "frame 1" in run("explain", "1", tmp_path / "archive").stdout
-    run("report", tmp_path / "archive", "--result", "1", "--output", tmp_path / "out.html")
-    assert Page(tmp_path / "out.html").images == 2
+    monkeypatch.chdir(tmp_path)
+    assert run("report", "result:1", "archive").exit_code == 0
+    assert Page(tmp_path / "report-result-1.html").images == 2
 
 
 @pytest.mark.parametrize(("options", "says"), [
     (["explain", "99999"], "no result 99999"),
     (["explain", "two"], "allowed: its sequence"),
     (["explain", "1", "--frame", "7"], "--frame 7"),
-    (["report", "--output", "out.html"], "--shift"),
-    (["report", "--output", "out.html", "--panel", "1", "--result", "1"], "one of"),
-    (["report", "--output", "out.html", "--shift", "2026-11-26/late"], "round the clock"),
-    (["report", "--output", "no/such/folder/out.html", "--result", "1"], "not written"),
+    (["report", "yesterday"], "result:1041"),
+    (["report", "99999"], "no panel 99999"),
+    (["report", "9" * 30], "a panel's id"),
+    (["report", "2026-11-26/late"], "round the clock"),
+    (["report", "noon..2026-11-26"], "allowed: a sequence, or a time"),
+    (["report", "result:1", "--output", "no/such/folder/out.html"], "not written"),
 ])  # fmt: skip
 def test_what_cannot_be_told_is_refused_with_a_remedy(
     kept: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], says: str
