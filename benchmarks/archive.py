@@ -17,12 +17,12 @@ from pathlib import Path
 
 from station import cpu_s, registers, settings_file
 
-from inspector.acquire.outage import Outage
 from inspector.archive import entries
 from inspector.archive.claim import Claim
 from inspector.archive.store import Run
 from inspector.archive.store_writer import StoreWriter
 from inspector.model import Defect, Snapshot
+from inspector.outage import Outage
 
 ROUNDS, WARM, RESULTS, COMMITS = 3, 20, 100, 500
 SEQUENCE_U32 = 42

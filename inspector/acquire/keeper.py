@@ -10,7 +10,7 @@ from typing import Generic, Protocol, TypeVar
 
 from firmware_bridge.errors import BridgeError, NoTrigger
 from inspector.acquire.device_faults import fault_of
-from inspector.acquire.outage import Outage
+from inspector.outage import Outage
 
 
 class Device(Protocol):

@@ -25,9 +25,9 @@ from inspector.archive.entries import Place
 from inspector.archive.session_frames import Kept
 from inspector.archive.session_writer import SessionWriter
 from inspector.archive.shelf import STAMP, Shelf
-from inspector.archive.store_writer import Outages
 from inspector.faults import Fault
 from inspector.model import Image
+from inspector.outage import Outage
 
 FRAMES, LAST = "frames", "last"
 """Folders of the two shelves."""
@@ -89,7 +89,7 @@ class Recorder:
         folder: Path,
         settings: KeptFrames,
         about: Mapping[str, object],
-        outage: Outages,
+        outage: Outage,
         ours: Callable[[], bool] = lambda: True,
     ) -> None:
         self.settings = settings

@@ -12,12 +12,12 @@ import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 from inspector.archive.claim import Claim, StoreUnavailable
 from inspector.archive.entries import Entry
 from inspector.archive.store import EntryRefused, Run, Store, StoreBusy, StoreDamaged, set_aside
 from inspector.faults import Fault
+from inspector.outage import Outage
 
 RETRY_FIRST_S, RETRY_LONGEST_S = 0.1, 5.0
 """A store that cannot be written is tried again after so long; each further failure doubles it."""
@@ -34,13 +34,6 @@ LARGE_LOG_BYTES = 64_000_000
 log = logging.getLogger(__name__)
 
 
-class Outages(Protocol):
-    """Says in the log when something begins to fail, and when it works again."""
-
-    def begins(self, complaint: object) -> None: ...
-    def ends(self, *, at_once: bool = False) -> None: ...
-
-
 class StoreWriter:
     """Writes into the store of ``folder``, once its ``claim`` is taken. ``make_room`` is called, in this thread, when
     the disk refuses; ``large`` is told of a log that grows."""
@@ -50,8 +43,8 @@ class StoreWriter:
         folder: Path,
         run: Run,
         claim: Claim,
-        outage: Outages,
-        large: Outages,
+        outage: Outage,
+        large: Outage,
         make_room: Callable[[], None] = lambda: None,
     ) -> None:
         self._folder, self._run, self._claim = folder, run, claim

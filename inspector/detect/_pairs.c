@@ -5,7 +5,7 @@ static const double PI = 3.14159265358979323846;
 
 typedef struct {
     double largest_radius_mm, bend_share, bend_px, model_share, worth, ratio_sigma, paint_index;
-    double sunk_share, least_share, usual_radius_mm, radius_scatter, chance_ratio_sigma, least_odds, spots_a_px2;
+    double sunk_share, usual_radius_mm, radius_scatter, chance_ratio_sigma, least_odds, spots_a_px2;
 } Rules;
 
 typedef struct {      /* the frame's spots, n of each: pixels (n, 2), their covariance (n, 4), flux, sigma of log flux */
@@ -37,11 +37,11 @@ static double log_normal(double x, double variance) { return -0.5 * (x * x / var
 static double below(double x) { return 0.5 * erfc(-x / sqrt(2)); }
 
 /* Log of the density, per pixel, of a true pair's mirror spot so far beside the line of resting seeds, `off` px with that
- * variance. A sunk seed's lies up to `sunk_px` to one side: its centre is between least_share and all of a radius high. */
+ * variance. A sunk seed's lies up to `sunk_px` to one side: its centre is anywhere from a radius high to the surface. */
 static double log_beside(const Rules *u, double off, double variance, double sunk_px) {
-    double rests = exp(log_normal(off, variance)), sigma = sqrt(variance), span = (1 - u->least_share) * sunk_px;
-    double a = off / sigma, b = (off - span) / sigma;
-    double sunk = fabs(span) > 0.1 * sigma ? (below(a) - below(b)) / span : rests;
+    double rests = exp(log_normal(off, variance)), sigma = sqrt(variance);
+    double a = off / sigma, b = (off - sunk_px) / sigma;
+    double sunk = fabs(sunk_px) > 0.1 * sigma ? (below(a) - below(b)) / sunk_px : rests;
     return log((1 - u->sunk_share) * rests + u->sunk_share * fabs(sunk));
 }
 

@@ -30,8 +30,8 @@ BEND_SHARE, BEND_PX = 0.12, 1.5
 """First sieve: how far, as a share of the distance and in pixels, a mirror spot may lie beside the direction."""
 MODEL_SHARE = 0.003
 """What the calibration may be off across the direction (lamp azimuth), as a share of the distance."""
-SUNK_SHARE, LEAST_SHARE = 0.3, 0.0
-"""The share of seeds that are sunk in the paint, and how high their centre is at the least, over the radius."""
+SUNK_SHARE = 0.3
+"""The share of seeds that are sunk in the paint, their centre anywhere from a radius high down to the surface."""
 USUAL_RADIUS_MM, RADIUS_SCATTER = 0.7, 1.1
 """Seeds are so large, log-normally: from 0.2 to 2.1 mm within one scatter."""
 CHANCE_RATIO_SIGMA = 1.2
@@ -72,8 +72,8 @@ COUPLES_A_SPOT = 16
 def _rules(spots_a_px2: float) -> bytes:
     """`Rules` of `_pairs.c`."""
     plain = (LARGEST_RADIUS_MM, BEND_SHARE, BEND_PX, MODEL_SHARE, WORTH, RATIO_SIGMA, PAINT_INDEX)
-    seeds = (SUNK_SHARE, LEAST_SHARE, USUAL_RADIUS_MM, RADIUS_SCATTER)
-    return struct.pack("14d", *plain, *seeds, CHANCE_RATIO_SIGMA, LEAST_ODDS, spots_a_px2)
+    seeds = (SUNK_SHARE, USUAL_RADIUS_MM, RADIUS_SCATTER)
+    return struct.pack("13d", *plain, *seeds, CHANCE_RATIO_SIGMA, LEAST_ODDS, spots_a_px2)
 
 
 _candidates = native.function("inspector.detect._pairs", "pairs_candidates", "ppippppppippp")

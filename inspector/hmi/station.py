@@ -16,10 +16,10 @@ from typing import Any, Protocol
 
 from firmware_bridge.errors import BridgeError, Refused
 from firmware_bridge.wire.modbus import MAX_READ_REGISTERS, Table
-from inspector.acquire.outage import Outage
 from inspector.hmi import commands, history
 from inspector.hmi.commands import Asked, Deed
 from inspector.hmi.look import Link, Look, Words
+from inspector.outage import Outage
 from inspector.publish import registers
 from inspector.publish.registers import LIST_ADDRESS, OPERATOR_ADDRESS, OPERATOR_WORDS, RESULT_ADDRESS, RESULT_WORDS
 from inspector.publish.statistics_registers import STATISTICS_ADDRESS, STATISTICS_WORDS

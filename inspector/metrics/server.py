@@ -17,10 +17,10 @@ import time
 from collections.abc import Callable
 from http import HTTPStatus
 
-from inspector.acquire.outage import Outage
 from inspector.metrics import text
 from inspector.metrics.settings import MetricsSettings
 from inspector.metrics.table import Scrape
+from inspector.outage import Outage
 from inspector.publish.plc_access import Networks
 
 log = logging.getLogger(__name__)

@@ -22,11 +22,11 @@ from inspector.acquire.capture import Wanted, capture, prepare
 from inspector.acquire.device_faults import fault_of
 from inspector.acquire.fresh import FreshFrames
 from inspector.acquire.keeper import Keeper, Retry, Waiting
-from inspector.acquire.outage import Outage
 from inspector.acquire.tuning import LightWrong, Tuning
 from inspector.faults import Fault
 from inspector.metrics.observed import Levels
 from inspector.model import Frame, FrameResult, Snapshot, Verdict
+from inspector.outage import Outage
 from inspector.recipe import Recipe
 from inspector.recipe_proof import beyond_camera
 from inspector.settings import Settings, SettingsError

@@ -14,7 +14,6 @@ from importlib.metadata import version
 
 from firmware_bridge.wire.session import Recorded
 from inspector import settings_version
-from inspector.acquire.outage import Outage
 from inspector.archive import entries
 from inspector.archive.archive_settings import ArchiveSettings
 from inspector.archive.claim import Claim
@@ -25,6 +24,7 @@ from inspector.archive.store import Run
 from inspector.archive.store_writer import StoreWriter
 from inspector.metrics.observed import faults_of
 from inspector.model import Image, PanelResult, Snapshot, Verdict
+from inspector.outage import Outage
 from inspector.recipe import Recipe, content_hash
 from inspector.service.cycle import Turn
 from inspector.settings import Settings

@@ -16,11 +16,11 @@ import numpy as np
 
 from firmware_bridge import whole_file
 from inspector import calibration_file
-from inspector.acquire.outage import Outage
 from inspector.judge.spc.monitor import Monitor
 from inspector.judge.spc.panel import Panel
 from inspector.model import Extent, Snapshot, Verdict
 from inspector.optics import Camera
+from inspector.outage import Outage
 from inspector.settings import Settings, SettingsError
 from inspector.yaml_document import Problem
 

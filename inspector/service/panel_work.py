@@ -9,11 +9,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from firmware_bridge.errors import BridgeError
-from inspector.acquire.outage import Outage
 from inspector.acquire.panels import NO_FRAME, Done, Panels
 from inspector.handshake import Order
 from inspector.handshake_table import Action
 from inspector.model import PanelFrames, PanelResult, Reason, Verdict
+from inspector.outage import Outage
 from inspector.panel_settings import ByInput
 from inspector.service.cycle import Turn
 from inspector.settings import Settings

@@ -19,8 +19,8 @@ from typing import Protocol
 
 from firmware_bridge.errors import BridgeError
 from firmware_bridge.wire.modbus import MAX_WRITE_REGISTERS, Table
-from inspector.acquire.outage import Outage
 from inspector.model import Snapshot
+from inspector.outage import Outage
 from inspector.publish import outbox
 from inspector.publish.outbox import Outbox
 from inspector.publish.plc_server import as_stalled

@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from firmware_bridge.drivers.replay_camera import ReplayCamera
 from firmware_bridge.wire import session
 from firmware_bridge.wire.session import Recorded
-from inspector.acquire.outage import Outage
 from inspector.archive import recorder as recorder_module
 from inspector.archive.archive_settings import KeptFrames
 from inspector.archive.recorder import FRAMES, LAST, Plan, Recorder, Version
@@ -25,6 +24,7 @@ from inspector.archive.retention import DAY_S, Held, Limits, overdue, past_the_l
 from inspector.archive.session_frames import Inspected, Kept, inspected
 from inspector.archive.shelf import Shelf
 from inspector.model import FrameResult, Verdict
+from inspector.outage import Outage
 
 VERSION = Version("0a", "{}\n")
 

@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from inspector.acquire.outage import Outage
 from inspector.archive import entries, store, store_writer
 from inspector.archive.claim import Claim
 from inspector.archive.store import FILE, Run, Store, StoreBusy
 from inspector.archive.store_writer import StoreWriter
 from inspector.model import Defect, Snapshot
+from inspector.outage import Outage
 
 RUN = Run(1000.0, "0.1.0", "line 2")
 

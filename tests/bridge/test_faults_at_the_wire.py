@@ -76,7 +76,7 @@ class Station:
     @property
     def said(self) -> list[str]:
         """What the log says of the lamp, so far."""
-        return [record.getMessage() for record in self.caplog.records if record.name == "inspector.acquire.outage"]
+        return [record.getMessage() for record in self.caplog.records if record.name == "inspector.outage"]
 
     def recovers(self, wait_until: Callable[..., Any]) -> None:
         """The lamp works again by itself; the outage was said once at its start and once at its end."""
