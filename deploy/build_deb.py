@@ -101,7 +101,7 @@ def make_environment(root: Path) -> None:
     (home / "bin/python3").symlink_to("/usr/bin/python3")
     (home / "pyvenv.cfg").write_text(f"home = /usr/bin\ninclude-system-site-packages = false\nversion = {PYTHON}\n")
     command = home / "bin/inspector"
-    command.write_text(f"#!/{HOME}/bin/python3 -I\nfrom inspector.cli.app import main\n\nmain()\n")
+    command.write_text(f"#!/{HOME}/bin/python3 -I\nfrom inspector.__main__ import main\n\nmain()\n")
     command.chmod(0o755)
     (root / "usr/bin").mkdir()
     (root / "usr/bin/inspector").symlink_to(f"/{HOME}/bin/inspector")

@@ -10,9 +10,10 @@ import ctypes
 import importlib.util
 from collections.abc import Callable
 from ctypes import byref, c_char, c_double, c_int64, c_void_p
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy.typing as npt
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
 _AnyLength = c_char * 0
 

@@ -6,22 +6,26 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-import numpy as np
 import yaml
 from pydantic import ConfigDict, Field, PositiveFloat, PositiveInt, ValidationError, field_validator, model_validator
 
 from firmware_bridge import whole_file
 from firmware_bridge.strict import Strict
-from inspector import optics, yaml_document
-from inspector.model import FloatArray
+from inspector import calibration_proof, yaml_document
+from inspector.model import CAMERA_PARAMETERS, FloatArray
+
+if TYPE_CHECKING:  # a start looks a file through before it serves registers, and works with arrays after
+    from inspector import optics
 
 ROTATION_ROUNDING = 1e-5
 """How far R R^T may be from the unit matrix: entries of six decimals give 2e-6."""
 UNIT_ROUNDING = 1e-3
 """How far a direction's length may be from one: entries of three decimals give 9e-4."""
+NOTHING_OPPOSITE = "the camera looks straight down, so nothing is opposite it; give light.azimuth_deg"
 
 
 class CalibrationError(ValueError):
@@ -68,26 +72,29 @@ class CameraEntry(_Finite):
     @field_validator("rotation")
     @classmethod
     def _is_rotation(cls, rows: list[list[float]]) -> list[list[float]]:
-        r = np.array(rows)
-        away = float(np.max(np.abs(r @ r.T - np.eye(3))))
-        if not (away <= ROTATION_ROUNDING and np.linalg.det(r) > 0):
+        away, determinant = calibration_proof.off_orthonormal(rows), calibration_proof.determinant(rows)
+        if not (away <= ROTATION_ROUNDING and determinant > 0):
             raise ValueError(
-                f"not a rotation (R R^T is off the unit matrix by {away:.2g}, determinant {np.linalg.det(r):.6g});"
+                f"not a rotation (R R^T is off the unit matrix by {away:.2g}, determinant {determinant:.6g});"
                 " allowed: orthonormal, right-handed, rounded to six decimals or finer"
             )
         return rows
 
     @model_validator(mode="after")
     def _looks_at_the_front(self) -> Self:
-        height = float(self.to_camera().centre_mm[2])
-        if not height > 0:
+        height_mm = calibration_proof.height_mm(self.rotation, self.translation_mm)
+        if not height_mm > 0:
             raise ValueError(
-                f"rotation and translation_mm put the camera at z = {height:.6g} mm; allowed: above the panel, z > 0"
+                f"rotation and translation_mm put the camera at z = {height_mm:.6g} mm; allowed: above the panel, z > 0"
             )
         return self
 
     def to_camera(self) -> optics.Camera:
         """The camera that the stages use."""
+        import numpy as np
+
+        from inspector import optics
+
         values = self.model_dump(exclude={"model", "rotation", "translation_mm"})
         rotation, translation_mm = np.array(self.rotation, np.float64), np.array(self.translation_mm, np.float64)
         return optics.Camera(**values, rotation=rotation, translation_mm=translation_mm)
@@ -111,7 +118,7 @@ class LightEntry(_Finite):
     @classmethod
     def _is_unit(cls, direction: list[float] | None) -> list[float] | None:
         if direction is not None:
-            length = float(np.linalg.norm(direction))
+            length = math.hypot(*direction)
             if not (abs(length - 1) <= UNIT_ROUNDING and direction[2] > 0):
                 raise ValueError(f"length {length:.6g}, z {direction[2]:.6g}; allowed: length 1, z > 0 (panel to lamp)")
         return direction
@@ -136,6 +143,10 @@ class LightEntry(_Finite):
 
     def to_light(self, camera: optics.Camera) -> optics.Light:
         """The lamp that the stages use; ``camera`` says what is opposite it."""
+        import numpy as np
+
+        from inspector import optics
+
         if self.position_mm is not None:
             return optics.Light(None, np.array(self.position_mm, dtype=np.float64), self.angular_sigma_deg)
         if self.direction is not None:
@@ -170,15 +181,15 @@ class UncertaintyEntry(_Finite):
     """Key ``uncertainty``: the covariance of the fitted parameters, as ``optics.Camera.perturbed`` defines them."""
 
     parameters: list[str] = Field(min_length=1)
-    """Names of the rows, of optics.PARAMETERS."""
+    """Names of the rows, of model.CAMERA_PARAMETERS."""
     covariance: list[list[float]]
     """Symmetric matrix, in the parameters' units."""
 
     @field_validator("parameters")
     @classmethod
     def _are_known(cls, names: list[str]) -> list[str]:
-        if len(set(names)) != len(names) or not set(names) <= set(optics.PARAMETERS):
-            raise ValueError(f"allowed: each at most once of {', '.join(optics.PARAMETERS)}")
+        if len(set(names)) != len(names) or not set(names) <= set(CAMERA_PARAMETERS):
+            raise ValueError(f"allowed: each at most once of {', '.join(CAMERA_PARAMETERS)}")
         return names
 
     @model_validator(mode="after")
@@ -186,10 +197,7 @@ class UncertaintyEntry(_Finite):
         n = len(self.parameters)
         if [len(row) for row in self.covariance] != [n] * n:
             raise ValueError(f"covariance is not {n} x {n}; allowed: one row and one column for each parameter")
-        c = np.array(self.covariance)
-        sigma = np.sqrt(np.maximum(np.diag(c), 0.0))
-        correlation = c / np.outer(*[np.where(sigma > 0, sigma, 1.0)] * 2)
-        if np.max(np.abs(correlation - correlation.T)) > 1e-6 or np.linalg.eigvalsh(correlation)[0] < -1e-6:
+        if not calibration_proof.is_covariance(self.covariance):
             raise ValueError("covariance is not one; allowed: symmetric, without negative eigenvalues")
         return self
 
@@ -243,11 +251,17 @@ class CalibrationFile(_Finite):
 
     @model_validator(mode="after")
     def _knows_opposite(self) -> Self:
-        self.light.to_light(self.camera.to_camera())
+        by_opposite = self.light.alpha_deg is not None and self.light.azimuth_deg is None
+        if by_opposite and not calibration_proof.opposite_is_known(self.camera.rotation):
+            raise ValueError(NOTHING_OPPOSITE)
         return self
 
     def to_calibration(self) -> optics.Calibration:
         """The geometry that the stages use."""
+        import numpy as np
+
+        from inspector import optics
+
         camera, fitted = self.camera.to_camera(), self.uncertainty
         return optics.Calibration(
             camera=camera,
@@ -266,9 +280,11 @@ def lamp_direction(camera: optics.Camera, alpha_deg: float, azimuth_deg: float |
     ``azimuth_deg`` is counted from x towards y. Opposite the camera is where the optical axis goes along the panel;
     raises ValueError where the camera looks straight down, for then nothing is opposite.
     """
+    import numpy as np
+
+    if azimuth_deg is None and not calibration_proof.opposite_is_known(camera.rotation.tolist()):
+        raise ValueError(NOTHING_OPPOSITE)
     along = camera.rotation[2, :2]
-    if azimuth_deg is None and np.linalg.norm(along) < 1e-6:
-        raise ValueError("the camera looks straight down, so nothing is opposite it; give light.azimuth_deg")
     azimuth = np.arctan2(along[1], along[0]) if azimuth_deg is None else np.radians(azimuth_deg)
     alpha = np.radians(alpha_deg)
     return np.array([np.sin(alpha) * np.cos(azimuth), np.sin(alpha) * np.sin(azimuth), np.cos(alpha)])

@@ -9,15 +9,29 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass, field
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING, TypeAlias
 
 from inspector.line_statistics import Statistics
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.intp]
-Image = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+if TYPE_CHECKING:  # registers are served by these nouns before there are arrays
+    import numpy as np
+    import numpy.typing as npt
+
+FloatArray: TypeAlias = "npt.NDArray[np.float64]"
+IntArray: TypeAlias = "npt.NDArray[np.intp]"
+Image: TypeAlias = "npt.NDArray[np.uint8] | npt.NDArray[np.uint16]"
+
+CAMERA_PARAMETERS = (
+    "rotation_x_rad",
+    "rotation_y_rad",
+    "rotation_z_rad",
+    "translation_x_mm",
+    "translation_y_mm",
+    "translation_z_mm",
+    "f_mm",
+    "kappa1_per_mm2",
+)
+"""What a fit adjusts in a camera, as :meth:`inspector.optics.Camera.perturbed` takes it; a covariance is of these."""
 
 
 class Verdict(enum.IntEnum):

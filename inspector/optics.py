@@ -17,18 +17,6 @@ from firmware_bridge import native
 from firmware_bridge.native import out
 from inspector.model import FloatArray
 
-PARAMETERS = (
-    "rotation_x_rad",
-    "rotation_y_rad",
-    "rotation_z_rad",
-    "translation_x_mm",
-    "translation_y_mm",
-    "translation_z_mm",
-    "f_mm",
-    "kappa1_per_mm2",
-)
-"""What a fit adjusts in a camera, in the order of :meth:`Camera.perturbed`; a covariance is of these."""
-
 _CAMERA = struct.Struct("14d")
 _directions = native.function("inspector._optics", "camera_directions", "pipp")
 
@@ -138,7 +126,7 @@ class Camera:
         return float(np.degrees(np.arccos(np.clip(-self.rotation[2, 2], -1.0, 1.0))))
 
     def perturbed(self, by: FloatArray) -> Camera:
-        """This camera with ``by`` (8,) added to its :data:`PARAMETERS`.
+        """This camera with ``by`` (8,) added to its :data:`~inspector.model.CAMERA_PARAMETERS`.
 
         The rotation's three are a rotation vector w (radians, about the camera's own axes) that is zero at this
         camera: R' = exp([w]x) R, and T' = T + dT, not turned.
@@ -193,7 +181,7 @@ class Calibration:
 
     ``view_angle_deg`` is the nominal beta that only the thesis' method uses; ``height_gain`` multiplies heights
     (fitted from measured samples); ``covariance`` is the camera parameters' own (p, p) with ``covariance_of`` naming
-    its p rows, some or all of :data:`PARAMETERS`; None when the calibration was not fitted here.
+    its p rows, some or all of CAMERA_PARAMETERS; None when the calibration was not fitted here.
     """
 
     camera: Camera

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from inspector.judge.coverage import View
-from inspector.optics import Camera
 from inspector.panel_settings import ByInput, Encoder, LineSpeed, PanelSettings
+
+if TYPE_CHECKING:
+    from inspector.optics import Camera
 
 Misfit = tuple[tuple[str, ...], object, str]
 """Place in the settings, value, and what is allowed."""
@@ -43,6 +45,8 @@ def _travel_misfits(panel: PanelSettings, camera: Camera) -> Iterator[Misfit]:
     """The panel may move no further between two frames than a frame sees."""
     if panel.travel is None:
         return
+    from inspector.judge.coverage import View  # only stations with panels of several frames pay for it
+
     view = View.of(camera, panel.travel.direction)
     if view is None:
         what = "the frame is not all on the panel, so what is seen of it is not known; allowed: a steeper camera"

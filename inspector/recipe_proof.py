@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from firmware_bridge.contracts import CameraCapabilities
-from inspector.optics import Camera
 from inspector.recipe import Recipe, Rectangle
+
+if TYPE_CHECKING:
+    from inspector.optics import Camera
 
 Misfit = tuple[tuple[int | str, ...], object, str]
 """Place in the recipe, value, and what is allowed."""
@@ -16,6 +17,8 @@ Misfit = tuple[tuple[int | str, ...], object, str]
 
 def seen_by(camera: Camera) -> Rectangle | None:
     """The rectangle about what the camera sees of the panel; None if its frame is not all on the panel."""
+    import numpy as np  # only stations with zones pay for it
+
     (x_min_mm, y_min_mm), (x_max_mm, y_max_mm) = (f(camera.outline_mm(), axis=0).tolist() for f in (np.min, np.max))
     if not np.isfinite([x_min_mm, x_max_mm, y_min_mm, y_max_mm]).all():
         return None

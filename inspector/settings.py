@@ -9,7 +9,6 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,8 +21,8 @@ from firmware_bridge.strict import Strict
 from inspector import lamp_curve_file, panel_proof, recipe_folder, recipe_proof, yaml_document
 from inspector.acquire.light import LightSettings
 from inspector.archive.archive_settings import ArchiveSettings
-from inspector.calibration_file import CalibrationError
-from inspector.calibration_file import read as read_calibration
+from inspector.calibration_file import CalibrationError, CalibrationFile
+from inspector.calibration_file import load as load_calibration
 from inspector.cycle_settings import CycleSettings, DigitalInput, HardwareLine
 from inspector.judge.spc.settings import StatisticsSettings
 from inspector.metrics.settings import MetricsSettings
@@ -91,13 +90,13 @@ class Settings(Strict):
     """What makes a panel of frames; by default each frame is one."""
     light: LightSettings | None = None
     """The reference patch by which the light is kept constant; null: there is none."""
-    log: LogSettings = LogSettings()
+    log: LogSettings = LogSettings.default()
     """What is logged."""
     metrics: MetricsSettings | None = None
     """Measured values for Prometheus; null: they are not served."""
     statistics: StatisticsSettings = StatisticsSettings.default()
     """Statistics of the paint line."""
-    page: PageSettings = PageSettings()
+    page: PageSettings = PageSettings.default()
     """The operator's page."""
     statistics_file: Annotated[Path, Field(strict=False)] | None = None
     """File in which the statistics are kept over restarts; null: in the archive's folder, or without an archive
@@ -187,31 +186,34 @@ def load(path: Path, *, secrets: bool = True) -> Settings:
     document, choice = _with_recipes(_with_lamp_curve(yaml_document.read(path), path.parent), path.parent)
     document = _with_actions(document, path.parent)
     settings, problems = yaml_document.validate(document, Settings)
+    calibration: CalibrationFile | None = None
     if isinstance(document.data, dict):
-        problems += tuple(_joint_problems(document, document.data, path.parent))
+        calibration, wrong = _calibration(document, document.data.get("calibration"), path.parent)
+        problems += (*wrong, *_device_problems(document, document.data, settings))
         problems += tuple(_port_problems(document, settings.model_dump() if settings else document.data))
     if settings and settings.recipes:
         settings, unknown = _choosing(document, settings, choice)
         problems += unknown
+    if settings and calibration:
+        problems += tuple(_recipe_problems(document, settings, calibration))
     if settings:
-        problems += tuple(_recipe_problems(document, settings, path.parent))
         problems += (*_pace_problems(document, settings), *_trigger_problems(document, settings))
-        problems += tuple(_panel_problems(document, settings, path.parent))
-        problems += tuple(_patch_problems(document, settings, path.parent))
+        problems += tuple(_panel_problems(document, settings, calibration))
+        problems += tuple(_patch_problems(document, settings, calibration)) if calibration else ()
         problems += tuple(_tls_problems(document, settings, path.parent)) if secrets else ()
-    if settings is None or problems:
+    if settings is None or calibration is None or problems:
         raise SettingsError(problems)
-    return _drawn(settings.under(path.parent))
+    return _drawn(settings.under(path.parent), calibration)
 
 
-def _drawn(settings: Settings) -> Settings:
+def _drawn(settings: Settings, calibration: CalibrationFile) -> Settings:
     """The same settings; a simulated camera that is asked for seeds is told where their highlights are."""
     camera = settings.camera
     if camera.kind != "simulated" or not camera.seeds:
         return settings
     from inspector import simulated_scene
 
-    seen = simulated_scene.highlights(camera.seeds, camera.seed_share, read_calibration(settings.calibration))
+    seen = simulated_scene.highlights(camera.seeds, camera.seed_share, calibration.to_calibration())
     return settings.model_copy(update={"camera": camera.model_copy(update={"spots": camera.spots + seen})})
 
 
@@ -283,16 +285,16 @@ def _choosing(document: Document, settings: Settings, choice: object) -> tuple[S
     return settings.model_copy(update={"recipe": chosen}), ()
 
 
-def _recipe_problems(document: Document, settings: Settings, folder: Path) -> Iterator[Problem]:
+def _recipe_problems(document: Document, settings: Settings, calibration: CalibrationFile) -> Iterator[Problem]:
     """What in a recipe does not fit the station, for every recipe that may come to be used."""
-    with suppress(CalibrationError):  # said already
-        camera = read_calibration(folder / settings.calibration).camera
-        seen = None if settings.panel.several else recipe_proof.seen_by(camera)
-        panel, reach = settings.panel.area or seen, (settings.lamp.curve[0][0], settings.lamp.curve[-1][0])
-        for n, recipe in enumerate(settings.recipes or (settings.recipe,)):
-            place: Place = ("recipes", n) if settings.recipes else ("recipe",)
-            for below, value, allowed in recipe_proof.misfits(recipe, reach, panel):
-                yield document.problem((*place, *below), value, allowed)
+    recipes, reach = settings.recipes or (settings.recipe,), (settings.lamp.curve[0][0], settings.lamp.curve[-1][0])
+    panel = settings.panel.area
+    if panel is None and not settings.panel.several and any(recipe.limits.zones for recipe in recipes):
+        panel = recipe_proof.seen_by(calibration.camera.to_camera())
+    for n, recipe in enumerate(recipes):
+        place: Place = ("recipes", n) if settings.recipes else ("recipe",)
+        for below, value, allowed in recipe_proof.misfits(recipe, reach, panel):
+            yield document.problem((*place, *below), value, allowed)
 
 
 def _with_lamp_curve(document: Document, folder: Path) -> Document:
@@ -315,31 +317,31 @@ def _with_actions(document: Document, folder: Path) -> Document:
     return document.including("statistics", Document(document.source, statistics).including("actions", table))
 
 
-def _joint_problems(document: Document, data: Mapping[str, object], folder: Path) -> Iterator[Problem]:
-    """What no single value shows: files that are not there, parts that do not fit together."""
-    yield from _calibration_problems(document, data.get("calibration"), folder)
-    yield from _device_problems(document, data)
-
-
-def _calibration_problems(document: Document, calibration: object, folder: Path) -> Iterator[Problem]:
-    if not isinstance(calibration, str):
-        return
+def _calibration(document: Document, file: object, folder: Path) -> tuple[CalibrationFile | None, tuple[Problem, ...]]:
+    """The calibration file's content, looked through; or None, and what is wrong with it."""
+    if not isinstance(file, str):
+        return None, ()  # said already
     try:
-        read_calibration(folder / calibration)
+        return load_calibration(folder / file), ()
     except CalibrationError as error:
         heading, *lines = str(error).splitlines()
-        for line in lines or [heading]:
-            yield document.problem(("calibration",), calibration, line)
+        return None, tuple(document.problem(("calibration",), file, line) for line in lines or [heading])
 
 
-def _device_problems(document: Document, data: Mapping[str, object]) -> Iterator[Problem]:
+def _device_problems(document: Document, data: Mapping[str, object], settings: Settings | None) -> Iterator[Problem]:
     """What the bridge finds when module and lamp are each right but do not fit; else validation has said it."""
-    module, _ = yaml_document.validate(Document("", data.get("module")), bridge.ModuleSettings)
-    lamp, _ = yaml_document.validate(Document("", data.get("lamp", {})), bridge.LampSettings)
+    module, lamp = (settings.module, settings.lamp) if settings else _devices_alone(data)
     if module is None or lamp is None:
         return
     for place, value, allowed in bridge.conflicts(module, lamp):
         yield document.problem(tuple(place.split(".")), value, f"allowed: {allowed}")
+
+
+def _devices_alone(data: Mapping[str, object]) -> tuple[bridge.ModuleSettings | None, bridge.LampSettings | None]:
+    """Module and lamp, each None if it is not right, where something is wrong somewhere."""
+    module, _ = yaml_document.validate(Document("", data.get("module")), bridge.ModuleSettings)
+    lamp, _ = yaml_document.validate(Document("", data.get("lamp", {})), bridge.LampSettings)
+    return module, lamp
 
 
 def _pace_problems(document: Document, settings: Settings) -> Iterator[Problem]:
@@ -362,11 +364,10 @@ def _trigger_problems(document: Document, settings: Settings) -> Iterator[Proble
         yield document.problem(("cycle", "trigger", "channel"), trigger.channel, what)
 
 
-def _panel_problems(document: Document, settings: Settings, folder: Path) -> Iterator[Problem]:
-    """What of the making of panels does not fit the station."""
-    camera, trigger = None, settings.cycle.trigger
-    with suppress(CalibrationError):  # said already
-        camera = read_calibration(folder / settings.calibration).camera
+def _panel_problems(document: Document, settings: Settings, calibration: CalibrationFile | None) -> Iterator[Problem]:
+    """What of the making of panels does not fit the station, of whose camera nothing may be known."""
+    trigger = settings.cycle.trigger
+    camera = calibration.camera.to_camera() if calibration and settings.panel.several else None
     bank = settings.module.profile_row.digital_inputs
     channel = trigger.channel if isinstance(trigger, DigitalInput) else None
     by_line = isinstance(trigger, HardwareLine)
@@ -374,15 +375,14 @@ def _panel_problems(document: Document, settings: Settings, folder: Path) -> Ite
         yield document.problem(*misfit)
 
 
-def _patch_problems(document: Document, settings: Settings, folder: Path) -> Iterator[Problem]:
+def _patch_problems(document: Document, settings: Settings, calibration: CalibrationFile) -> Iterator[Problem]:
     """The reference by which the light is kept constant must be in the frame."""
     if settings.light is None:
         return
-    with suppress(CalibrationError):  # said already
-        camera, patch = read_calibration(folder / settings.calibration).camera, settings.light.patch
-        if patch.x_px + patch.width_px > camera.width_px or patch.y_px + patch.height_px > camera.height_px:
-            allowed = f"allowed: within the calibrated frame, {camera.width_px} x {camera.height_px} px"
-            yield document.problem(("light", "patch"), patch.model_dump(), allowed)
+    camera, patch = calibration.camera, settings.light.patch
+    if patch.x_px + patch.width_px > camera.width_px or patch.y_px + patch.height_px > camera.height_px:
+        allowed = f"allowed: within the calibrated frame, {camera.width_px} x {camera.height_px} px"
+        yield document.problem(("light", "patch"), patch.model_dump(), allowed)
 
 
 def _tls_problems(document: Document, settings: Settings, folder: Path) -> Iterator[Problem]:

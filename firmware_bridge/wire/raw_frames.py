@@ -18,9 +18,11 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import numpy as np
-import numpy.typing as npt
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
 
 MAGIC = b"CCDF"
 _HEADER = struct.Struct("<4sI4H2d")
@@ -71,6 +73,8 @@ class RawFormat:
         return RawFrame(image, number, _known(exposure_us), _known(taken_at_s))
 
     def _image(self, pixels: bytes) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
+        import numpy as np  # settings only ask for a frame's size
+
         shape = self.height_px, self.width_px
         if self.bits == 16:
             return np.frombuffer(pixels, "<u2").astype(np.uint16).reshape(shape)

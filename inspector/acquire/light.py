@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import Self
 
-import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from firmware_bridge.strict import Strict
@@ -89,6 +88,8 @@ def inner(image: Image, patch: Patch) -> Image:
 
 def without(image: Image, patch: Patch) -> Image:
     """A copy of the image in which the patch is as dark as the panel: a reference is no seed."""
+    import numpy as np  # settings are read without
+
     blank = image.copy()
     blank[_area(patch)] = np.median(image[::SPARSE, ::SPARSE])
     return blank

@@ -36,7 +36,7 @@ class ArchiveSettings(Strict):
     commit_wait_s: float = Field(0.2, ge=0, le=10)
     """A result is shown to the PLC when it is on the disk, but waits no longer than this, seconds; STORE_DEGRADED then
     says that it may be lost."""
-    frames: KeptFrames = KeptFrames()
+    frames: KeptFrames = KeptFrames.default()
     """Which frames are kept."""
 
     def under(self, folder: Path) -> ArchiveSettings:

@@ -439,8 +439,3 @@ def show(file: ConfigFile) -> None:
     from inspector.commands import settings_commands
 
     raise typer.Exit(settings_commands.show(file))
-
-
-def main() -> None:
-    """Entry point of the `inspector` command."""
-    app()

@@ -13,7 +13,7 @@ from inspector import calibration_file, csv_table, imagefile, optics
 from inspector.csv_table import InputRefused
 from inspector.estimate.calibration import BoardRefused, Fit, Method, Points, SensorConstants, angles_deg, fit
 from inspector.estimate.height_gain import SamplesRefused
-from inspector.model import FloatArray, Image
+from inspector.model import CAMERA_PARAMETERS, FloatArray, Image
 
 COLUMNS = ("xw_mm", "yw_mm", "zw_mm", "Xf_px", "Yf_px")
 """Columns that a file of points must have, in any order and among others."""
@@ -167,7 +167,7 @@ def calibration(
         light=optics.Light(calibration_file.lamp_direction(camera, alpha_deg, azimuth_deg)),
         view_angle_deg=camera.view_angle_deg if view_angle_deg is None else view_angle_deg,
         covariance=fitted.covariance,
-        covariance_of=optics.PARAMETERS,
+        covariance_of=CAMERA_PARAMETERS,
     )
 
 

@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 
-from inspector.model import FloatArray, IntArray
-from inspector.optics import PARAMETERS, Camera
+from inspector.model import CAMERA_PARAMETERS, FloatArray, IntArray
+from inspector.optics import Camera
 
 Method = Literal["reprojection", "tsai"]
 
@@ -77,7 +77,7 @@ class Points:
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted camera, the points it was fitted to, and the covariance (8, 8) of its ``optics.PARAMETERS``."""
+    """A fitted camera, the points it was fitted to, and the covariance (8, 8) of its ``CAMERA_PARAMETERS``."""
 
     method: Method
     camera: Camera
@@ -327,7 +327,7 @@ def _optimise_three(world_mm: FloatArray, sensor_mm: FloatArray, start: Camera) 
 
 
 def reprojection(points: Points, sensor: SensorConstants) -> Camera:
-    """The eight ``optics.PARAMETERS`` of least squared pixel residuals; image centre and aspect are held.
+    """The eight ``CAMERA_PARAMETERS`` of least squared pixel residuals; image centre and aspect are held.
 
     Freeing the centre would win 0.03 px on the thesis' board and move it by 31 and 43 px. Starts from Tsai's;
     raises BoardRefused as :func:`tsai` does.
@@ -356,7 +356,7 @@ def _start(points: Points, sensor: SensorConstants) -> Camera:
 
 
 def _scales(camera: Camera) -> FloatArray:
-    """Typical sizes (8,) of changes of the PARAMETERS, for steps and differences."""
+    """Typical sizes (8,) of changes of the CAMERA_PARAMETERS, for steps and differences."""
     distance = float(np.linalg.norm(camera.translation_mm))
     reach_mm = 0.5 * camera.width_px * camera.dx_mm
     return np.array([1.0, 1.0, 1.0, distance, distance, distance, camera.f_mm, reach_mm**-2])
@@ -368,11 +368,11 @@ def _scales(camera: Camera) -> FloatArray:
 def _noise_px(points: Points, camera: Camera) -> float:
     """Standard deviation of one pixel coordinate, from the residuals of 2 n equations for eight parameters."""
     residuals = points.xy_px - camera.project(points.world_mm)
-    return float(np.sqrt(np.sum(residuals**2) / (2 * len(points) - len(PARAMETERS))))
+    return float(np.sqrt(np.sum(residuals**2) / (2 * len(points) - len(CAMERA_PARAMETERS))))
 
 
 def _least_squares_covariance(points: Points, camera: Camera) -> FloatArray:
-    """Covariance (8, 8) for pixel noise of one: (J^T J)^-1, J the derivatives of the pixels by the PARAMETERS."""
+    """Covariance (8, 8) for pixel noise of one: (J^T J)^-1, J the pixels' derivatives by the CAMERA_PARAMETERS."""
     scales = _scales(camera)
     steps = 1e-6 * scales
     moved = [
@@ -382,7 +382,7 @@ def _least_squares_covariance(points: Points, camera: Camera) -> FloatArray:
     jacobian = np.array(moved).T / 2e-6  # by parameters in units of their scales, so that the inverse is well posed
     normal = jacobian.T @ jacobian
     if not (np.isfinite(normal).all() and np.linalg.cond(normal) < WORST_CONDITION):
-        return np.full((len(PARAMETERS), len(PARAMETERS)), np.inf)
+        return np.full((len(CAMERA_PARAMETERS), len(CAMERA_PARAMETERS)), np.inf)
     covariance = np.linalg.inv(normal)
     return np.asarray((covariance + covariance.T) / 2 * np.outer(scales, scales))
 
@@ -390,7 +390,7 @@ def _least_squares_covariance(points: Points, camera: Camera) -> FloatArray:
 def _propagated(points: Points, sensor: SensorConstants, camera: Camera) -> FloatArray:
     """Covariance (8, 8) of Tsai's camera for pixel noise of one: G G^T, G its derivatives by each pixel coordinate."""
     step_px = 1e-3
-    gain = np.empty((len(PARAMETERS), points.xy_px.size))
+    gain = np.empty((len(CAMERA_PARAMETERS), points.xy_px.size))
     for k in range(points.xy_px.size):
         xy_px = points.xy_px.copy()
         xy_px.flat[k] += step_px

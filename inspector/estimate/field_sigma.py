@@ -13,8 +13,8 @@ from functools import lru_cache
 import numpy as np
 
 from inspector import reflection
-from inspector.model import FloatArray
-from inspector.optics import PARAMETERS, Calibration
+from inspector.model import CAMERA_PARAMETERS, FloatArray
+from inspector.optics import Calibration
 
 ROWS, COLUMNS = 13, 17
 """The grid of probes: fine enough but where the paint mirrors the lamp right into the camera."""
@@ -76,8 +76,8 @@ def _slopes(feet_px: FloatArray, calibration: Calibration) -> FloatArray:
 
 def _moved(calibration: Calibration, name: str, by: float) -> Calibration:
     """The calibration with one of the camera's parameters moved."""
-    step = np.zeros(len(PARAMETERS))
-    step[PARAMETERS.index(name)] = by
+    step = np.zeros(len(CAMERA_PARAMETERS))
+    step[CAMERA_PARAMETERS.index(name)] = by
     return replace(calibration, camera=calibration.camera.perturbed(step))
 
 

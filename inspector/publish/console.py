@@ -5,22 +5,21 @@ from __future__ import annotations
 import os
 import sys
 
-import typer
-
 from inspector.faults import Fault
 from inspector.model import Snapshot, Verdict
 from inspector.publish.address import EVERYWHERE
 from inspector.publish.registers import RESULT_ADDRESS, RESULT_WORDS
 
-COLOURS = {Verdict.PASS: "green", Verdict.FAIL: "red", Verdict.NOT_INSPECTED: "yellow"}
+GREEN, RED, YELLOW, PLAIN = "\x1b[32m", "\x1b[31m", "\x1b[33m", "\x1b[0m"
+COLOURS = {Verdict.PASS: GREEN, Verdict.FAIL: RED, Verdict.NOT_INSPECTED: YELLOW}
 HEIGHTS_SHOWN = 8
 """More heights than this are counted, not listed, so that a panel stays one line."""
 
 
 def say(line: str) -> None:
-    """Print a line at once; colours only on a terminal. A reader that went away is no fault of the station's."""
+    """Print a line at once. A reader that went away is no fault of the station's."""
     try:
-        typer.echo(line)
+        print(line, flush=True)
     except OSError:
         # What follows goes nowhere, and the interpreter's own flush at exit finds nothing to complain about.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -39,7 +38,7 @@ def panel_line(snapshot: Snapshot, name: str, texts: tuple[str, ...], *, coloure
     """One panel: number, verdict, defects with their heights, time, frame, and why."""
     verdict = f"{snapshot.verdict.name:13}"
     if coloured:
-        verdict = typer.style(verdict, fg=COLOURS[snapshot.verdict])
+        verdict = f"{COLOURS[snapshot.verdict]}{verdict}{PLAIN}"
     fault = next(fault for fault in Fault if fault == snapshot.fault_code)
     why = texts or ((f"{fault.name}: {fault.meaning}",) if fault else ())
     seen = f"{_defects(snapshot):44}  {snapshot.elapsed_us / 1000:7.2f} ms  {name}" if name else ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 from collections.abc import Callable
 from typing import Literal
 
@@ -26,8 +27,8 @@ Tell = Callable[[LogSettings, Snapshot, str, tuple[str, ...]], None]
 
 
 def on_terminal(_: LogSettings, result: Snapshot, name: str, why: tuple[str, ...]) -> None:
-    """Print the result's line."""
-    console.say(console.panel_line(result, name, why))
+    """Print the result's line, with colours where that is a terminal."""
+    console.say(console.panel_line(result, name, why, coloured=sys.stdout.isatty()))
 
 
 class ResultLog:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from inspector import journal_log
 from inspector.journal_log import JournalHandler, TextFormatter, leads_to_journal
-from inspector.metrics.table import Gauges
 from inspector.publish.plc_server import PlcServerError
 from inspector.publish.result_log import ResultLog, on_terminal
 from inspector.service import last_good
@@ -16,6 +17,9 @@ from inspector.service.front import Front
 from inspector.service.last_good import log_problems
 from inspector.settings import SettingsError
 from inspector.signals import Signals
+
+if TYPE_CHECKING:
+    from inspector.metrics.table import Gauges
 
 log = logging.getLogger(__name__)
 
@@ -47,6 +51,8 @@ def run(file: Path, panels: int | None = None, duration_s: float | None = None) 
     from inspector.service.daemon import Daemon, Limits
     from inspector.service.settings_trial import SettingsTrial
 
+    gc.freeze()  # what is imported by now is never garbage, and no collection need look at it
+    gc.enable()
     folder = last_good.state_folder()
     for misfit in permissions.misfits(file, begun.settings, folder):
         log.warning("%s", misfit)

@@ -20,7 +20,7 @@ pytestmark = [pytest.mark.long, pytest.mark.timeout(1800)]
 REPOSITORY = Path(__file__).parents[2]
 DEBIAN_12 = {"python_full_version": "3.11.2", "python_version": "3.11", "sys_platform": "linux"}
 BUILD_ONLY = {"setuptools"}
-START = f"import sys; sys.path.insert(0, '/{SITE}'); from inspector.cli.app import main; main()"
+START = f"import sys; sys.path.insert(0, '/{SITE}'); from inspector.__main__ import main; main()"
 """The command: an emulated program cannot start another, as its first line would."""
 DOC = "usr/share/doc/seed-inspector"
 OF_DEBIAN = r"lib(c|m|gcc_s|stdc\+\+|z|pthread|dl|rt)\.so\.\d+|ld-linux-.*"
@@ -63,7 +63,7 @@ def test_no_address_and_no_path_of_the_building_machine_is_in_what_is_generated(
     made = [*(unpacked / DOC).glob("*"), *(unpacked / "DEBIAN").iterdir(), *unpacked.glob("usr/lib/*/pyvenv.cfg")]
     text = "\n".join(path.read_text() for path in made if path.is_file())
     assert not re.findall(r"/(?:tmp|root|home)/", text)
-    compiled = unpacked / SITE / "inspector/__pycache__/cli.cpython-311.pyc"
+    compiled = unpacked / SITE / "inspector/cli/__pycache__/app.cpython-311.pyc"
     assert f"/{SITE}/inspector/cli/app.py".encode() in compiled.read_bytes()
 
 

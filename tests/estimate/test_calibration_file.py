@@ -19,7 +19,8 @@ from hypothesis import strategies as st
 
 from inspector import calibration_file
 from inspector.calibration_file import CalibrationError, lamp_direction, read, write
-from inspector.optics import PARAMETERS, Calibration, Light, Sensor
+from inspector.model import CAMERA_PARAMETERS
+from inspector.optics import Calibration, Light, Sensor
 
 FOREIGN: dict[str, Any] = {
     "version": 1,
@@ -223,7 +224,8 @@ def test_what_is_written_is_read_to_the_last_bit(
     root = np.array(spread).reshape(8, 8)
     covariance = root @ root.T
     written = Calibration(camera, Light(lamp_direction(camera, alpha, azimuth), None, 1.75), 65.0,
-                          Sensor(0.45, 6.1, 4095.0), gain, (covariance + covariance.T) / 2, PARAMETERS)  # fmt: skip
+                          Sensor(0.45, 6.1, 4095.0), gain, (covariance + covariance.T) / 2,
+                          CAMERA_PARAMETERS)  # fmt: skip
     assert camera.centre_mm[2] > 0  # which also fills the camera's cache: it is no key of the file
     path = tmp_path / "c.yaml"
     write(path, written)

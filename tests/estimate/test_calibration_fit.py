@@ -11,8 +11,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from inspector.estimate.calibration import BoardRefused, Fit, Method, Points, SensorConstants, fit
-from inspector.model import FloatArray
-from inspector.optics import PARAMETERS, Camera
+from inspector.model import CAMERA_PARAMETERS, FloatArray
+from inspector.optics import Camera
 
 SENSOR = SensorConstants()
 METHODS: list[Method] = ["tsai", "reprojection"]
@@ -89,7 +89,7 @@ def test_uncertainty_is_what_noise_does(method: Method, runs: int) -> None:
     scene = Scene(view_angle_deg=60, roll_deg=10, aim_px=(10, 15))
     fits = [fit(points_of(scene, 0.05, seed), SENSOR, method) for seed in range(runs)]
     z = np.array([parameters(f, scene.camera) / np.sqrt(np.diag(f.covariance)) for f in fits])
-    assert z.shape == (runs, len(PARAMETERS))
+    assert z.shape == (runs, len(CAMERA_PARAMETERS))
     assert 0.7 < np.sqrt(np.mean(z**2)) < 1.35
 
 

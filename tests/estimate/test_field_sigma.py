@@ -12,22 +12,22 @@ from views import View, seeds_at, spread_px
 from inspector import reflection
 from inspector.estimate import heights
 from inspector.estimate.field_sigma import field_sigma
-from inspector.model import FloatArray, HighlightPairs
-from inspector.optics import PARAMETERS, Calibration
+from inspector.model import CAMERA_PARAMETERS, FloatArray, HighlightPairs
+from inspector.optics import Calibration
 
 VIEWS = pytest.mark.parametrize(
     "view", [View(), View(view_angle_deg=55, roll_deg=40, alpha_deg=20, lamp_mm=400.0)], ids=["far", "near"]
 )
 SIGMAS = np.array([2e-3, 1.5e-3, 1e-3, 0.2, 0.2, 0.5, 0.02, 2e-4])
-"""Standard deviations of a camera's parameters as a board gives them, in the order of PARAMETERS."""
+"""Standard deviations of a camera's parameters as a board gives them, in the order of CAMERA_PARAMETERS."""
 
 
-def fitted(view: View, names: tuple[str, ...] = PARAMETERS) -> Calibration:
+def fitted(view: View, names: tuple[str, ...] = CAMERA_PARAMETERS) -> Calibration:
     """A calibration that knows its parameters so badly, and correlated as focal length and distance are."""
-    correlation = np.eye(len(PARAMETERS))
+    correlation = np.eye(len(CAMERA_PARAMETERS))
     correlation[5, 6] = correlation[6, 5] = 0.9
     covariance = correlation * np.outer(SIGMAS, SIGMAS)
-    keep = [PARAMETERS.index(name) for name in names]
+    keep = [CAMERA_PARAMETERS.index(name) for name in names]
     return replace(view.calibration, covariance=covariance[np.ix_(keep, keep)], covariance_of=names)
 
 
@@ -48,7 +48,7 @@ def measured(
 
 
 @VIEWS
-@pytest.mark.parametrize("names", [PARAMETERS, ("f_mm", "translation_z_mm")], ids=["all", "two"])
+@pytest.mark.parametrize("names", [CAMERA_PARAMETERS, ("f_mm", "translation_z_mm")], ids=["all", "two"])
 def test_sigma_is_what_other_cameras_of_the_covariance_give(view: View, names: tuple[str, ...]) -> None:
     """Exact pixels read through 400 drawn cameras: heights spread as stated, seed by seed over the whole field."""
     calibration, rng = fitted(view, names), np.random.default_rng(4)
@@ -58,8 +58,8 @@ def test_sigma_is_what_other_cameras_of_the_covariance_give(view: View, names: t
     field = field_sigma(calibration)
     assert field is not None
     stated = field.at(pixels[0]) * 2000 * seeds[:, 2]
-    draws = np.zeros((400, len(PARAMETERS)))
-    draws[:, [PARAMETERS.index(n) for n in names]] = rng.multivariate_normal(
+    draws = np.zeros((400, len(CAMERA_PARAMETERS)))
+    draws[:, [CAMERA_PARAMETERS.index(n) for n in names]] = rng.multivariate_normal(
         np.zeros(len(names)), calibration.covariance, 400
     )
     cameras = [calibration.camera.perturbed(d) for d in draws]
