@@ -285,7 +285,8 @@ class Daemon:
         """See whether a panel has come or gone while the station waits; how soon to look again, seconds."""
         if self._panels is None:
             return math.inf
-        self._panels.look(self._missed)
+        # What was missed after a TRIGGER that waits to begin its cycle is told after that one's frame.
+        self._panels.look(self._trigger.missed + self._control.missed_before)
         self._publish_panels(self._panels)
         return self._panels.look_s
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +14,7 @@ from firmware_bridge.errors import BridgeError, NoReply
 from inspector.faults import Fault
 from inspector.handshake_table import Answer, Command, CommandResult, Control
 from inspector.model import Defect, FrameResult, Reason, State, Verdict
+from inspector.publish.systemd import Notifier
 from tests.line.test_daemon import Bench, bench, shown
 from tests.line.test_plc_trigger import BY_PLC, Line, line
 
@@ -161,16 +163,17 @@ def test_a_trigger_that_was_missed_within_a_panel_keeps_it_from_passing(line: Ca
     assert (done["verdict"], done["panel_frames"]) == (Verdict.NOT_INSPECTED, 2)
 
 
-def triggered_again(at: Line) -> None:
+def triggered_again(at: Line, meanwhile: contextlib.AbstractContextManager[None] | None = None) -> None:
     """The PLC triggers, and once more while the frame is still to come; then it comes."""
     at.until_set(Answer.TRIGGER_READY)
     missed = at.plc.read()["missed_triggers"]
-    at.control(Control.TRIGGER)
-    at.until_set(Answer.TRIGGER_ACK)
-    at.control()
-    at.control(Control.TRIGGER)
-    at.until(lambda r: r["missed_triggers"] == missed + 1, "a missed trigger")
-    at.control()
+    with meanwhile or contextlib.nullcontext():
+        at.control(Control.TRIGGER)
+        at.until_set(Answer.TRIGGER_ACK)
+        at.control()
+        at.control(Control.TRIGGER)
+        at.until(lambda r: r["missed_triggers"] == missed + 1, "a missed trigger")
+        at.control()
     at.station.camera.permits.release()
     at.until_set(Answer.TRIGGER_READY)
 
@@ -288,12 +291,39 @@ def test_the_last_trigger_of_a_panel_missed_is_that_panels_and_not_the_next_ones
     assert (done["verdict"], done["panel_frames"]) == (Verdict.PASS, 2)
 
 
+@pytest.fixture
+def late_cycle(monkeypatch: pytest.MonkeyPatch) -> Callable[[], contextlib.AbstractContextManager[None]]:
+    """``late_cycle()``: meanwhile the cycle's thread does not get on, as on a machine that gives it no turn."""
+    held, goes_on, feed = threading.Event(), threading.Event(), Notifier.feed_watchdog
+    goes_on.set()
+
+    def fed(notifier: Notifier, now_s: float) -> None:
+        if not goes_on.is_set():
+            held.set()
+            goes_on.wait(20)
+        feed(notifier, now_s)
+
+    monkeypatch.setattr(Notifier, "feed_watchdog", fed)
+
+    @contextlib.contextmanager
+    def hold() -> Iterator[None]:
+        goes_on.clear()
+        assert held.wait(20)
+        try:
+            yield
+        finally:
+            goes_on.set()
+
+    return hold
+
+
+@pytest.mark.parametrize("late", [False, True], ids=["at once", "late"])
 def test_a_trigger_missed_while_a_panels_last_frame_is_taken_is_the_next_panels_first(
-    line: Callable[..., Line],
+    late: bool, line: Callable[..., Line], late_cycle: Any
 ) -> None:
     at = line(panel=BY_COUNT, cycle=BY_PLC, recipe=RECIPE)
     inspect_one(at, 2)
-    triggered_again(at)
+    triggered_again(at, late_cycle() if late else None)
     first = at.until(lambda r: r["sequence"] == 1, "a result")
     assert (first["verdict"], first["panel_frames"]) == (Verdict.PASS, 3)
     inspect_one(at, 2)
