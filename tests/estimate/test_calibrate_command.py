@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -16,6 +15,7 @@ from typer.testing import CliRunner
 
 from inspector import calibration_file
 from inspector.cli.app import app
+from tests.support import forked
 
 DATA = Path(__file__).parents[1] / "data"
 TABLE_5_2 = DATA / "thesis" / "table_5_2.csv"
@@ -24,8 +24,7 @@ GRID = ["--pitch-mm", "18.8", "--columns", "6", "--rows", "5"]
 
 
 def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "inspector", "calibrate", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60)
+    return forked.run("calibrate", *arguments)
 
 
 def run_here(*arguments: object) -> tuple[int, str, str]:

@@ -16,13 +16,14 @@ import pytest
 
 from inspector.commands import inspect_files
 from inspector.imagefile import read
+from tests.support import forked
 
 COMMAND = [sys.executable, "-m", "inspector", "inspect"]
 DEFECT_KEYS = {"x_mm", "y_mm", "height_um", "height_sigma_um", "direct_px", "mirror_px", "flags"}
 
 
 def run(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=60, cwd=cwd)
+    return forked.run("inspect", *arguments, cwd=cwd)
 
 
 @pytest.fixture(scope="module")

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 import shutil
 import signal
 import socket
 import struct
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,6 +22,7 @@ from firmware_bridge.simulators.module_server import ModuleServer
 from firmware_bridge.simulators.module_state import SimulatedModule
 from firmware_bridge.wire.profiles import PROFILES
 from inspector.publish.registers import RESULT_ADDRESS, RESULT_WORDS, Status, decode
+from tests.support.forked import Command
 
 CONFIG = Path(__file__).parents[2] / "config"
 PROFILE = "tm-da1p1r1"
@@ -88,13 +86,7 @@ class Service:
 
     def __init__(self, config: Path, wait_until: Callable[..., Any], options: list[str], **environment: str) -> None:
         self._wait_until = wait_until
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "inspector", "run", "--config", str(config), *options],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env=os.environ | environment,
-        )
+        self.process = Command("run", "--config", config, *options, **environment)
         self.out: list[str] = []
         self.log: list[str] = []
         self._readers = [self._gather(self.process.stdout, self.out), self._gather(self.process.stderr, self.log)]
@@ -173,7 +165,6 @@ class Service:
             self.process.kill()
         self.ended()
         for stream in (self.process.stdout, self.process.stderr):
-            assert stream is not None
             stream.close()
 
 

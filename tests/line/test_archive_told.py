@@ -6,8 +6,6 @@ import json
 import math
 import shutil
 import sqlite3
-import subprocess
-import sys
 from contextlib import closing
 from html.parser import HTMLParser
 from pathlib import Path
@@ -21,6 +19,7 @@ from typer.testing import CliRunner
 from inspector.archive.session_frames import inspected
 from inspector.cli.app import app
 from inspector.sessions import RecordedFrame, read_session
+from tests.support import forked
 
 pytestmark = pytest.mark.xdist_group("kept")
 
@@ -184,8 +183,7 @@ def test_sightings_of_several_frames_are_told_with_their_panel(
     }
     file = station.folder / "panels.yaml"
     file.write_text(json.dumps(settings))
-    command = [sys.executable, "-m", "inspector", "run", "--config", str(file), "--panels", "1"]
-    subprocess.run(command, check=True, capture_output=True, timeout=60)
+    forked.run("run", "--config", file, "--panels", "1").check_returncode()
     done = run("explain", "1", tmp_path / "archive", "--format", "json")
     said = json.loads(done.stdout)
     assert (done.exit_code, said["same"], said["panel"]["same"]) == (0, True, True)

@@ -8,8 +8,6 @@ import json
 import re
 import signal
 import socket
-import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -23,6 +21,7 @@ from inspector.hmi.server import BODY_BYTES, CONNECTIONS, HEADERS, PageServer, R
 from inspector.model import Verdict
 from inspector.publish.registers import CONTROL_ADDRESS, OPERATOR_ADDRESS, OPERATOR_WORDS
 from tests.line.conftest import Plc
+from tests.support.forked import Command, run
 
 RECIPES = [
     {"id": 1, "name": "lenient", "limits": {"max_height_um": 3000}},
@@ -38,10 +37,9 @@ class PageProcess:
     def __init__(self, station: Any, port: int, wait_until: Callable[..., Any]) -> None:
         file = station.folder / "page.yaml"
         file.write_text(yaml.safe_dump(station.settings | {"plc": {"port": port}, "page": {"port": 0}}))
-        command = [sys.executable, "-m", "inspector", "page", "--config", str(file)]
         self.log = station.folder / "page.log"
-        with self.log.open("wb") as log:
-            self.process = subprocess.Popen(command, stdout=log, stderr=log)
+        self.log.touch()
+        self.process = Command("page", "--config", file, output=self.log)
         found = wait_until(lambda: re.search(r"Page: http://127.0.0.1:(\d+)/", self.log.read_text()), "the page's port")
         self.browser = Browser(int(found[1]))
 
@@ -290,7 +288,6 @@ def test_a_crowd_that_says_nothing_gives_its_places_back(
 
 def test_a_page_whose_port_is_taken_says_so(station: Any, server: Callable[..., PageServer]) -> None:
     taken = server(10.0).port
-    command = [sys.executable, "-m", "inspector", "page", "--config", str(station.file), "--port", str(taken)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = run("page", "--config", station.file, "--port", taken)
     assert done.returncode == 69
     assert f"127.0.0.1:{taken}" in done.stderr

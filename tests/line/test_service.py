@@ -24,6 +24,7 @@ from inspector.model import State, Verdict
 from inspector.publish.registers import Status
 from inspector.publish.systemd import Notifier
 from tests.line.conftest import Service, Station, simulated_module
+from tests.support import forked
 
 GOES_ON = 3
 """Further results to wait for where something must stay as it is."""
@@ -65,9 +66,8 @@ def test_registers_equal_what_inspect_says_of_the_same_frames(
     station.settings["camera"]["rate_hz"] = 5
     station.write()
     frames = sorted(station.frames.iterdir())
-    command = [sys.executable, "-m", "inspector", "inspect", *map(str, frames), "--format", "jsonl"]
-    options = ["--calibration", station.settings["calibration"], "--recipe", str(recipe)]
-    said = subprocess.run(command + options, capture_output=True, text=True, timeout=60)
+    options = ["--calibration", station.settings["calibration"], "--recipe", recipe]
+    said = forked.run("inspect", *frames, "--format", "jsonl", *options)
     expected = {Path(row["frame"]).name: row for row in map(json.loads, said.stdout.splitlines())}
     running = service()
     unseen, last = set(expected), 0

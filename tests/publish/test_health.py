@@ -7,8 +7,6 @@ import json
 import os
 import socket
 import struct
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +21,7 @@ from inspector.model import Snapshot, State
 from inspector.publish import address
 from inspector.publish.plc_server import PlcServer
 from inspector.publish.registers import encode_image
+from tests.support import forked
 
 HOST = "127.0.0.1"
 
@@ -92,8 +91,7 @@ def test_the_command_finds_the_service_by_its_address_file(served: Any, tmp_path
         os.umask(before)
     assert (tmp_path / address.NAME).stat().st_mode & 0o777 == 0o644
     assert json.loads((tmp_path / address.NAME).read_text()) == [HOST, port, 1]
-    command = [sys.executable, "-m", "inspector", "health", "--address-file"]
-    done = subprocess.run([*command, tmp_path / address.NAME], capture_output=True, text=True, timeout=60)
+    done = forked.run("health", "--address-file", tmp_path / address.NAME)
     assert (done.returncode, done.stdout) == (EXIT_HEALTHY, f"{HOST}:{port}: READY\n")
 
 

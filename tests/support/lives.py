@@ -4,41 +4,23 @@ take minutes; and a PLC that notes, as fast as it can poll, what it is shown."""
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
-import os
 import re
 import signal
 import socket
 import struct
-import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from inspector.publish.registers import CONTROL_ADDRESS, RESULT_ADDRESS, RESULT_REGISTERS, Status
+from tests.support.forked import Command
 from tests.support.plc_program import PlcProgram
 
-_CONTEXT = multiprocessing.get_context("forkserver")
-_CONTEXT.set_forkserver_preload(
-    ["inspector.service.serve", "inspector.service.daemon", "inspector.journal_log", "tests.support.lives"]
-)
 _AT = {row.name: row.address - RESULT_ADDRESS for row in RESULT_REGISTERS}
 _HEAD_WORDS = 64
 _PAUSE_S = 0.0005
 """Between polls, so that the processor is left to the service: no result is shown for a shorter time."""
-
-
-def _live(config: Path, output: Path) -> None:
-    """One life: what it prints and logs goes into the file."""
-    from inspector.service import serve
-
-    with output.open("ab", buffering=0) as file:
-        os.dup2(file.fileno(), 1)
-        os.dup2(file.fileno(), 2)
-    sys.stdout = os.fdopen(1, "w", buffering=1, closefd=False)
-    sys.stderr = os.fdopen(2, "w", buffering=1, closefd=False)
-    sys.exit(serve.run(config))
 
 
 class Life:
@@ -47,8 +29,7 @@ class Life:
     def __init__(self, config: Path, output: Path, wait_until: Callable[..., Any]) -> None:
         self._output, self._wait_until = output, wait_until
         output.write_bytes(b"")
-        self.process = _CONTEXT.Process(target=_live, args=(config, output), daemon=True)
-        self.process.start()
+        self.process = Command("run", "--config", config, output=output)
 
     @property
     def log(self) -> str:
@@ -60,7 +41,7 @@ class Life:
 
     def _said_port(self) -> int | None:
         found = re.search(r"-p (\d+) ", self.log)
-        assert found or self.process.is_alive(), self.log
+        assert found or self.process.poll() is None, self.log
         return int(found[1]) if found else None
 
     def watched(self, program: PlcProgram | None = None) -> Watcher:
@@ -75,14 +56,12 @@ class Life:
 
     def kill(self) -> None:
         self.process.kill()
-        self.process.join(30)
+        self.process.wait(30)
 
     def stop(self) -> None:
         """Ask it to stop, and wait until it has."""
-        assert self.process.pid is not None
-        os.kill(self.process.pid, signal.SIGTERM)
-        self.process.join(30)
-        assert self.process.exitcode == 0, self.log
+        self.process.send_signal(signal.SIGTERM)
+        assert self.process.wait(30) == 0, self.log
 
     def __enter__(self) -> Life:
         return self
