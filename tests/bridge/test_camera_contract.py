@@ -66,7 +66,11 @@ RIGS: dict[str, tuple[str, Rig]] = {
 }
 
 
-@pytest.fixture(params=RIGS)
+@pytest.fixture(
+    params=[
+        pytest.param(name, marks=pytest.mark.xdist_group(gige.PORT)) if "genicam" in name else name for name in RIGS
+    ]
+)
 def camera(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Camera]:
     """The driver, built from settings, not yet open."""
     with contextlib.ExitStack() as stack:

@@ -25,6 +25,7 @@ from firmware_bridge.factory import build_camera
 from firmware_bridge.links import aravis_library
 from firmware_bridge.wire.pixel_formats import FORMATS
 
+pytestmark = pytest.mark.xdist_group(gige.PORT)
 SFNC, OLDER = "gige_camera.xml", "-"
 DEADLINE_S, COMMAND_S = 5.0, 2.0
 MOST_LOST = 5
@@ -172,7 +173,7 @@ def test_a_line_that_stands_still_is_no_fault(gige_camera: Any, camera_at: Any) 
 def test_frames_taken_unasked_are_told_by_the_line_that_then_stands_still(
     gige_camera: Any, camera_at: Any, wait_until: Any
 ) -> None:
-    peer, camera = gige_camera(), camera_at(trigger="Line0", deadline_s=1.5)
+    peer, camera = gige_camera(), camera_at(trigger="Line0", deadline_s=3.0)
 
     def told() -> int:
         peer.pulse()

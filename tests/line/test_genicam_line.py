@@ -18,6 +18,7 @@ LOST_FRAME = re.compile("is damaged|no frame in")
 """How the log tells of a frame lost on the way, from a camera that lives."""
 
 
+@pytest.mark.xdist_group(gige.PORT)
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize("outages", [1, pytest.param(10, marks=pytest.mark.long)])
 def test_each_outage_is_reported_once_and_ends_without_a_restart(

@@ -17,6 +17,8 @@ from firmware_bridge.wire import image
 
 PEERS = Path(__file__).parents[1] / "peers"
 SERIAL, ADDRESS = "SCENE1", "127.0.0.1"
+PORT = "port 3956 of 127.0.0.1"
+"""The one of GigE Vision, for one camera at a time; tests of this xdist_group come one after the other in one worker."""
 ALLOCATORS_KIB = 4096
 SCENE_US = 1000.0
 """The exposure at which it shows the scene as it is."""
@@ -45,7 +47,8 @@ class Traces:
 
 
 class Turn:
-    """GigE Vision has one port, 3956: tests take turns, by a name that the kernel gives to one at a time."""
+    """GigE Vision has one port: also runs of the tests beside each other take turns, by a name that the kernel gives to
+    one at a time."""
 
     def __init__(self) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -59,7 +62,7 @@ class Turn:
     def taken(self) -> bool:
         """Whether it is ours now."""
         try:
-            self._socket.bind("\0port 3956 of 127.0.0.1")
+            self._socket.bind(f"\0{PORT}")
         except OSError:
             return False
         return True
