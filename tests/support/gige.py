@@ -18,7 +18,7 @@ from firmware_bridge.wire import image
 PEERS = Path(__file__).parents[1] / "peers"
 SERIAL, ADDRESS = "SCENE1", "127.0.0.1"
 PORT = "port 3956 of 127.0.0.1"
-"""The one of GigE Vision, for one camera at a time; tests of this xdist_group come one after the other in one worker."""
+"""The one of GigE Vision, for one camera at a time: an xdist_group, so that one worker has them one after the other."""
 ALLOCATORS_KIB = 4096
 SCENE_US = 1000.0
 """The exposure at which it shows the scene as it is."""
