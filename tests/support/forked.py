@@ -17,6 +17,7 @@ from typing import IO
 CONTEXT = multiprocessing.get_context("forkserver")
 CONTEXT.set_forkserver_preload(
     [
+        "inspector.__main__",
         "inspector.cli.app",
         "inspector.commands.calibrate",
         "inspector.commands.inspect_files",
@@ -104,6 +105,6 @@ def _carry_out(
     os.environ.clear()
     os.environ.update(environment)
     sys.argv = ["inspector", *arguments]
-    from inspector.cli.app import main
+    from inspector.__main__ import main
 
     main()
