@@ -5,7 +5,10 @@ Whatever this module imports, the PLC waits for; a rule of the house says what t
 
 from __future__ import annotations
 
-from contextlib import suppress
+import logging
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 from inspector.lifecycle import Event, after
@@ -20,8 +23,12 @@ from inspector.service.outlets import Outlets
 from inspector.settings import Settings, configuration_hash
 from inspector.signals import Signals
 
+log = logging.getLogger(__name__)
+
 PREPARING_S = 30.0
 """After the registers are served the cycle may take so long to begin: on a slow processor a first start does."""
+LATE_S = 3.0
+"""A disk that gives nothing for so long is told, seconds."""
 
 
 class Front:
@@ -35,10 +42,10 @@ class Front:
         *,
         settings_refused: bool = False,
     ) -> None:
-        self.settings, self.settings_recipe_id = recipe_choice.resumed(settings), settings.recipe.id
         self.notifier = notifier or Notifier()
-        _make_folder(settings)
-        self.sequence = SequenceFile(settings.plc.sequence_file)
+        with _told_if_late(settings):
+            self.settings, self.settings_recipe_id = recipe_choice.resumed(settings), settings.recipe.id
+            self.sequence = SequenceFile(settings.plc.sequence_file)
         first = self.sequence.first
         self.snapshot = Snapshot(sequence=first, panel_id=first, settings_refused=settings_refused)
         self.control = PlcControl(self.snapshot, signals.wake)
@@ -53,6 +60,7 @@ class Front:
     def start(self) -> None:
         """Serve the registers, before anything else is done. Raises PlcServerError."""
         self.outlets.start(self.snapshot)
+        _make_folder(self.settings)
         self.show(described(self.snapshot, self.settings, configuration_hash(self.settings), Event.CONFIGURED))
         self.outlets.server.beat(PREPARING_S)
 
@@ -64,6 +72,22 @@ class Front:
         self.snapshot = snapshot
         fault = f", fault {snapshot.fault_code}" if snapshot.fault_code else ""
         self.notifier.status(f"{snapshot.state.name}{fault}; registers on port {self.port}")
+
+
+@contextmanager
+def _told_if_late(settings: Settings) -> Iterator[None]:
+    """Around the reading of what was kept over a restart. The registers wait for it, however long it takes: without it
+    the sequence would go back."""
+    files = " or ".join(str(file) for file in (settings.recipe_choice_file, settings.plc.sequence_file) if file)
+    why = "the disk does not answer, and registers are not served before it does"
+    remedy = "mount it again, or name files on another one (recipe_choice_file, plc.sequence_file)"
+    late = threading.Timer(LATE_S, log.error, ("%s: %s; %s", files, why, remedy))
+    late.daemon = True
+    late.start()
+    try:
+        yield
+    finally:
+        late.cancel()
 
 
 def _make_folder(settings: Settings) -> None:

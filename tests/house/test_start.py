@@ -45,13 +45,18 @@ from inspector.settings import load
 from inspector.signals import Signals
 
 settings, here = load(Path(sys.argv[1])), Path(sys.argv[2])
+(here / "sequence.json").write_text('{"sequence": 0}')
 plc = settings.plc.model_copy(update={"port": 0, "sequence_file": here / "sequence.json"})
-archive = settings.archive.model_copy(update={"folder": here})
-front = Front(settings.model_copy(update={"plc": plc, "archive": archive}), Signals())
+archive = settings.archive.model_copy(update={"folder": here / "archive"})
+new = {"plc": plc, "archive": archive, "recipe_choice_file": here / "recipe.json", "statistics_file": None}
+touched = set()
+sys.addaudithook(lambda _, given: touched.update(str(a) for a in given if isinstance(a, str | Path)))
+front = Front(settings.model_copy(update=new), Signals())
 start = PlcServer.start
-PlcServer.start = lambda server: (start(server), needed.update(sys.modules))
+PlcServer.start = lambda server: (start(server), needed.update(sys.modules), needed.update(touched))
 needed = set()
 front.start()
+assert archive.folder.is_dir()
 with socket.create_connection(("127.0.0.1", front.port), timeout=10) as client:
     client.sendall(bytes.fromhex("000100000006010300000001"))
     answer = client.recv(100)
@@ -66,6 +71,8 @@ def test_nothing_heavy_is_imported_before_a_register_is_answered(file: str, heav
     assert said[-1] == "0001000000050103020000"
     assert "inspector.publish.plc_server" in said
     assert not (heavy | LATER) & set(said)
+    assert str(tmp_path / "sequence.json") in said
+    assert not [name for name in said if name.startswith(str(tmp_path / "archive"))], "its disk may hang"
 
 
 def told(*options: str) -> tuple[int, str, set[str]]:

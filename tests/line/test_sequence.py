@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -15,6 +17,11 @@ from firmware_bridge import whole_file
 from firmware_bridge.simulators.module_server import ModuleServer
 from inspector import sequence_file
 from inspector.sequence_file import AHEAD, SequenceFile
+from inspector.service import front
+from inspector.settings import load
+from inspector.signals import Signals
+
+CONFIG = Path(__file__).parents[2] / "config"
 
 
 def test_the_file_is_always_ahead_of_the_results_and_exact_at_the_end(tmp_path: Path) -> None:
@@ -74,6 +81,32 @@ def test_a_disk_that_hangs_holds_no_result_up_for_long(
     monkeypatch.setattr(sequence_file, "WAIT_S", 20)
     kept.ends(2 * AHEAD)
     assert SequenceFile(file).first == 2 * AHEAD
+
+
+def test_a_disk_that_hangs_at_the_start_is_told_and_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = tmp_path / "sequence.json"
+    os.mkfifo(file)  # who reads it waits
+    told = Event()
+    monkeypatch.setattr(front, "LATE_S", 0.0)
+    monkeypatch.setattr(caplog.handler, "emit", lambda line: (caplog.records.append(line), told.set()))
+    settings = load(CONFIG / "demo.yaml")
+    plc = settings.plc.model_copy(update={"port": 0, "sequence_file": file})
+
+    def comes_back() -> bool:
+        was_told = told.wait(20)
+        file.write_text('{"sequence": 7}')
+        return was_told
+
+    with ThreadPoolExecutor() as pool:
+        back = pool.submit(comes_back)
+        begun = front.Front(settings.model_copy(update={"plc": plc, "recipe_choice_file": None}), Signals())
+        assert back.result()
+    assert begun.snapshot.sequence == 7
+    assert [record.getMessage().partition(";")[0] for record in caplog.records] == [
+        f"{file}: the disk does not answer, and registers are not served before it does"
+    ]
 
 
 @pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])
