@@ -51,6 +51,9 @@ def panel_station(mm_per_frame: float) -> PanelStation:
     return PanelStation(CALIBRATION, LIMITS, PanelSettings.model_validate_json(json.dumps(settings)))
 
 
+pytestmark = pytest.mark.xdist_group("panel frames")
+
+
 @pytest.fixture(scope="module")
 def results() -> list[FrameResult]:
     """What the pipeline finds in the panel's three frames."""

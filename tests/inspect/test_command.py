@@ -18,6 +18,7 @@ from inspector.commands import inspect_files
 from inspector.imagefile import read
 from tests.support import forked
 
+pytestmark = pytest.mark.xdist_group("inspect")
 COMMAND = [sys.executable, "-m", "inspector", "inspect"]
 DEFECT_KEYS = {"x_mm", "y_mm", "height_um", "height_sigma_um", "direct_px", "mirror_px", "flags"}
 

@@ -30,6 +30,7 @@ from inspector.replay.command import Output
 from inspector.replay.plan import Plan
 from inspector.replay.tally import Tally
 
+pytestmark = pytest.mark.xdist_group("recorded")
 DEMO = recorded_sessions.CONFIG / "calibration" / "demo.yaml"
 SEVERAL = {
     "frames": {"kind": "count", "count": panel_frames.FRAMES},
