@@ -60,13 +60,39 @@ static void derive_rows(const Gaussian *g, i64 p, const double *dx, const double
     derive(g, p, dx, dy, by + X * p, by + Y * p, by + LOG_PEAK * p, by + SXX * p, by + SXY * p, by + SYY * p);
 }
 
+/* Four numbers side by side, wherever they lie. */
+typedef double Quad __attribute__((vector_size(32), aligned(8), may_alias));
+
+static inline Quad quad(const double *p) { return *(const Quad *)p; }
+
+/* The LANES partial sums of two vectors together. */
+static inline double total(Quad low, Quad high) {
+    return ((low[0] + low[1]) + (low[2] + low[3])) + ((high[0] + high[1]) + (high[2] + high[3]));
+}
+
 /* Sum of products, in as many partial sums as fill two vectors of AVX2: the same whatever the processor's are. p is a
  * multiple of LANES. */
-static inline double inner(i64 p, const double *restrict a, const double *restrict b) {
-    double sum[LANES] = {0};
-    for (i64 k = 0; k < p; k += LANES)
-        for (int l = 0; l < LANES; l++) sum[l] += a[k + l] * b[k + l];
-    return ((sum[0] + sum[1]) + (sum[2] + sum[3])) + ((sum[4] + sum[5]) + (sum[6] + sum[7]));
+static inline double inner(i64 p, const double *a, const double *b) {
+    Quad low = {0}, high = {0};
+    for (i64 k = 0; k < p; k += LANES) low += quad(a + k) * quad(b + k), high += quad(a + k + 4) * quad(b + k + 4);
+    return total(low, high);
+}
+
+/* `inner` of a row with each of `count` rows that follow each other, three at a time: sums that do not wait for each other. */
+static inline void inner_each(i64 p, const double *a, const double *b, int count, double *out) {
+    int n = 0;
+    for (; n + 3 <= count; n += 3) {
+        const double *b0 = b + n * p, *b1 = b0 + p, *b2 = b1 + p;
+        Quad low0 = {0}, high0 = {0}, low1 = {0}, high1 = {0}, low2 = {0}, high2 = {0};
+        for (i64 k = 0; k < p; k += LANES) {
+            Quad low = quad(a + k), high = quad(a + k + 4);
+            low0 += low * quad(b0 + k), high0 += high * quad(b0 + k + 4);
+            low1 += low * quad(b1 + k), high1 += high * quad(b1 + k + 4);
+            low2 += low * quad(b2 + k), high2 += high * quad(b2 + k + 4);
+        }
+        out[n] = total(low0, high0), out[n + 1] = total(low1, high1), out[n + 2] = total(low2, high2);
+    }
+    for (; n < count; n++) out[n] = inner(p, a, b + n * p);
 }
 
 /* What the model leaves over, and how much each pixel counts: a clipped one asks only for at least this much. */
@@ -106,7 +132,8 @@ WIDE void fit_normal_equations(const Work *w, const Rules *u, i64 i, const doubl
     const double *t = w->theta + i * PARAMETERS, *expected = w->expected + i * PARAMETERS, *prior = w->prior + i * PARAMETERS;
     double *matrix = w->normal + i * PARAMETERS * PARAMETERS, *gradient = w->gradient + i * PARAMETERS;
     for (int a = 0; a < PARAMETERS; a++) {
-        for (int b = 0; b <= a; b++) matrix[a * PARAMETERS + b] = matrix[b * PARAMETERS + a] = inner(p, weighted + a * p, by + b * p);
+        inner_each(p, weighted + a * p, by, a + 1, matrix + a * PARAMETERS);
+        for (int b = 0; b < a; b++) matrix[b * PARAMETERS + a] = matrix[a * PARAMETERS + b];
         double hold = prior[a] * ((a == SXX || a == SYY) && t[a] < expected[a] ? u->sharper : 1);
         matrix[a * PARAMETERS + a] += hold + 1e-9 * matrix[a * PARAMETERS + a] + 1e-12;
         gradient[a] = inner(p, weighted + a * p, w->residual + w->begin[i]) - hold * (t[a] - expected[a]);
@@ -117,8 +144,7 @@ WIDE void fit_couple(const Work *w, i64 i, i64 j, const double *weighted, double
     i64 p = w->count[i];
     Gaussian other = ready(w, j, i);
     derive_rows(&other, p, w->dx, w->dy, room);
-    for (int x = 0; x < PARAMETERS; x++)
-        for (int y = 0; y < SHAPE; y++) block[x * m + y] = inner(p, weighted + x * p, room + y * p);
+    for (int x = 0; x < PARAMETERS; x++) inner_each(p, weighted + x * p, room, SHAPE, block + x * m);
 }
 
 /* Solve the m x m system in place by elimination with pivots; columns of `right` are (m, k). 0 where singular. */

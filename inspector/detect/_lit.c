@@ -58,8 +58,20 @@ static double row_thresholds(const double *tiles, i64 tr, i64 tc, i64 row, i64 h
 
 static double column_threshold(const double *at, i64 tc, i64 column, i64 width) {
     double x = (column + 0.5) * tc / width - 0.5;
-    i64 c0 = tc > 1 ? (i64)fmin(fmax(x, 0), tc - 2) : 0, c1 = tc > 1 ? c0 + 1 : 0;
+    i64 low = x > 0 ? (i64)x : 0, c0 = tc > 1 ? (low < tc - 2 ? low : tc - 2) : 0, c1 = tc > 1 ? c0 + 1 : 0;
     return at[c0] + (at[c1] - at[c0]) * (x - c0);
+}
+
+/* A value that no threshold of the columns from `begin` to before `end` is below: straight lines are least at their ends,
+ * which are those columns and the tile centres; rounding is allowed for. */
+static double block_least(const double *at, i64 tc, i64 begin, i64 end, i64 width) {
+    double first = column_threshold(at, tc, begin, width), last = column_threshold(at, tc, end - 1, width);
+    double least = first < last ? first : last;
+    for (i64 c = 0; c < tc; c++) {
+        double centre = (c + 0.5) * width / tc - 0.5;
+        if (centre > begin && centre < end - 1 && at[c] < least) least = at[c];
+    }
+    return least - 1e-6;
 }
 
 /* Pixels above the thresholds given at (tr, tc) tile centres, as many as there is `room` for; returns how many there
@@ -77,7 +89,8 @@ static i64 find_lit(const Image *im, const double *tiles, i64 tr, i64 tc, i64 mo
         if (!(peak > least)) continue;
         for (i64 b = 0; b < im->width; b += BLOCK) {      /* most blocks are dark: one look each */
             i64 end = b + BLOCK < im->width ? b + BLOCK : im->width;
-            if (!(block_peak(im, p, b, end) > least)) continue;
+            unsigned block = block_peak(im, p, b, end);
+            if (!(block > least) || !(block > block_least(at, tc, b, end, im->width))) continue;
             for (i64 c = b; c < end; c++) {
                 double v = grey(im, r, c);
                 if (!(v > column_threshold(at, tc, c, im->width))) continue;

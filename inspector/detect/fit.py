@@ -76,12 +76,12 @@ class Response:
             np.maximum((grey_dn - self.black_dn) / span, 0.0) ** (1 / self.sensor.gamma) * span + self.black_dn
         )
 
-    @cached_property
+    @property
     def read_dn(self) -> float:
         """Standard deviation of a dark pixel, DN."""
         return max(self.noise_dn, 0.5 * self.sensor.saturation_dn / 255)
 
-    @cached_property
+    @property
     def shot_per_dn(self) -> float:
         """Variance that a DN of light over the background adds, DN^2."""
         return self.sensor.saturation_dn / 255 / ELECTRONS_PER_DN_8BIT

@@ -27,6 +27,7 @@ SYSTEMATIC_PX2 = 0.006**2
 """Variance along each axis of what a perfect fit still misses: the profile is not quite a Gaussian (rendered spots)."""
 UNSURE_FLUX = Flag.SATURATED | Flag.HOT_PIXEL
 """Where every spot has one of these flags, the frame does not show how much light a blur of its width holds."""
+HOT_PIXEL = int(Flag.HOT_PIXEL)
 HELD = UNSURE_FLUX | Flag.TOUCHING
 """A spot with one of these flags is held to the frame's usual blur."""
 BLOOM_SIGMA_PX = 0.03
@@ -124,8 +125,8 @@ def _bend(tiles_dn: FloatArray) -> FloatArray:
     for axis in (0, 1):
         if tiles_dn.shape[axis] > 2:
             second = np.abs(np.diff(tiles_dn, 2, axis)).max(axis=1 - axis, keepdims=True)
-            ends = [(1, 1) if a == axis else (0, 0) for a in (0, 1)]
-            bend = np.maximum(bend, np.pad(second, ends, mode="edge"))
+            first, last = second.take([0], axis), second.take([-1], axis)  # the outermost tiles' own are not known
+            bend = np.maximum(bend, np.concatenate([first, second, last], axis))
     return np.asarray(bend / 2)
 
 
@@ -233,7 +234,7 @@ def _hidden(spots: Spots, measured: kernel.Measured) -> IntArray:
     poor = (found[:, fitting.CHI2] > HIDDEN_CHI2) & (found[:, fitting.MISFIT_SIGMA] > HIDDEN_SIGMA)
     if any(spots.bloom):
         poor &= ~spots.clipped
-    return np.flatnonzero(poor & (measured.flags & Flag.HOT_PIXEL == 0))
+    return np.asarray((poor & (measured.flags & HOT_PIXEL == 0)).nonzero()[0])
 
 
 def _proven(before: Fitted, after: Fitted, hosts: IntArray) -> IntArray:

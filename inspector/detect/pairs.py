@@ -65,6 +65,10 @@ POOL_BESIDE_PX = 1.0
 """How far beside a pair's line a paint pool's spot may lie, with BEND_SHARE of its length."""
 NO_DUST = int(Flag.HOT_PIXEL | Flag.AT_EDGE)
 """What fits nothing and has one of these flags is not called dust."""
+DUST, PARTNER_OUTSIDE, MERGED, AMBIGUOUS, POOL = map(
+    int, (Flag.DUST, Flag.PARTNER_OUTSIDE_FRAME, Flag.MERGED, Flag.AMBIGUOUS, Flag.PAINT_POOL)
+)
+"""What a lone spot may be; each is said rather than those before it."""
 COUPLES_A_SPOT = 16
 """Room for candidates, for each spot; more are counted and asked for again."""
 
@@ -227,9 +231,10 @@ def _unpaired_flags(
         pool = _between(spots.xy_px, unpaired, found, chosen)
         drawn_out, leaves = _alone(spots.xy_px[unpaired], spots.blur_px2[unpaired], rays[unpaired], calibration)
     seed, dust = flags & NO_SEED == 0, flags & NO_DUST == 0
-    rules = [pool, fits, seed & drawn_out, seed & leaves, dust]
-    whats = [Flag.PAINT_POOL, Flag.AMBIGUOUS, Flag.MERGED, Flag.PARTNER_OUTSIDE_FRAME, Flag.DUST]
-    return np.asarray(flags | np.select(rules, [int(flag) for flag in whats], 0))
+    what = np.where(dust, DUST, 0)
+    for rule, flag in ((seed & leaves, PARTNER_OUTSIDE), (seed & drawn_out, MERGED), (fits, AMBIGUOUS), (pool, POOL)):
+        what[rule] = flag
+    return np.asarray(flags | what)
 
 
 def _between(xy_px: FloatArray, unpaired: IntArray, found: Candidates, chosen: list[int]) -> npt.NDArray[np.bool_]:

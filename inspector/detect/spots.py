@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -84,15 +85,12 @@ def _lobes(image: Image, found: kernel.Detected, saturated_dn: float) -> FloatAr
     """Rows of the table for the lobes of all plateaus: parted where they have a waist, or runs with two middles."""
     clipped = np.flatnonzero(found.plateau >= 0)
     rows, columns, plateau = found.rows[clipped], found.columns[clipped], found.plateau[clipped]
-    lobe, count = np.zeros(len(clipped), np.intp), 0
-    large = found.spots[: found.plateaus, NARROW_PX] + np.maximum(np.abs(found.spots[: found.plateaus, LONGER_PX]), 0)
-    may_part = np.count_nonzero(large > SINGLE_PX) <= MOST_PARTED
-    for mine in _groups(plateau):
-        is_long = may_part and max(np.ptp(rows[mine]), np.ptp(columns[mine])) + 1 > SINGLE_PX
-        if is_long and len(mine) <= LARGEST_PX:
-            lobe[mine] = _parted(image, rows[mine], columns[mine], saturated_dn)
-        lobe[mine] += count
-        count = int(lobe[mine].max()) + 1
+    part, parts = np.zeros(len(clipped), np.intp), np.ones(found.plateaus, np.intp)
+    for k in _to_part(found.spots[: found.plateaus]):
+        mine = np.flatnonzero(plateau == k)
+        part[mine] = _parted(image, rows[mine], columns[mine], saturated_dn)
+        parts[k] = part[mine].max() + 1
+    lobe, count = part + (np.cumsum(parts) - parts)[plateau], int(parts.sum())
     host = np.zeros(count, np.intp)
     host[lobe] = plateau
     table = found.spots[host]
@@ -102,10 +100,12 @@ def _lobes(image: Image, found: kernel.Detected, saturated_dn: float) -> FloatAr
     return table
 
 
-def _groups(label: IntArray) -> list[IntArray]:
-    """The indices of each label's members, in order."""
-    order = np.argsort(label, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
+def _to_part(plateaus: FloatArray) -> list[int]:
+    """Which plateaus, of these rows of the table, may be several spots'."""
+    long = plateaus[:, NARROW_PX] + np.abs(plateaus[:, LONGER_PX]) > SINGLE_PX
+    if np.count_nonzero(long) > MOST_PARTED:
+        return []
+    return np.flatnonzero(long & (plateaus[:, SATURATED_PX] <= LARGEST_PX)).tolist()
 
 
 def _parted(image: Image, rows: IntArray, columns: IntArray, saturated_dn: float) -> IntArray:
@@ -135,13 +135,13 @@ def _parted_runs(lobe: IntArray, along: IntArray, across: IntArray) -> IntArray:
     result, count = lobe.copy(), int(lobe.max(initial=-1)) + 1
     for k in range(count):
         mine = np.flatnonzero(lobe == k)
-        runs = np.unique(across[mine])
-        middle = np.array(
-            [(along[mine][across[mine] == c].min() + along[mine][across[mine] == c].max()) / 2 for c in runs]
-        )
-        length = np.array([np.ptp(along[mine][across[mine] == c]) for c in runs])
-        low, high = middle.min(), middle.max()
-        if high - low > PARTED_PX and length.max() > high - low:
+        runs: dict[int, list[int]] = defaultdict(list)
+        for a, c in zip(along[mine].tolist(), across[mine].tolist(), strict=True):
+            runs[c].append(a)
+        ends = [(min(run), max(run)) for run in runs.values()]
+        middles = [(first + last) / 2 for first, last in ends]
+        low, high = min(middles), max(middles)
+        if high - low > PARTED_PX and max(last - first for first, last in ends) > high - low:
             result[mine[along[mine] > (low + high) / 2]] = count
             count += 1
     return result
@@ -157,20 +157,23 @@ def _blurred(image: Image, rows: IntArray, columns: IntArray, saturated_dn: floa
     return np.asarray(np.einsum("nij,i,j->n", np.minimum(grey, saturated_dn).astype(np.float64), kernel, kernel))
 
 
+EARLIER = ((-1, -1), (-1, 0), (-1, 1), (0, -1))
+"""Rows and columns to the neighbours that come before a pixel in row-major order; the others lie opposite."""
+
+
 def _tops(rows: IntArray, columns: IntArray, value: FloatArray) -> IntArray:
     """Indices of pixels that no neighbour of the same list exceeds; equals go to the first."""
-    stride = int(columns.max()) + 3
-    flat = rows * stride + columns + 1
-    best = np.ones(len(flat), np.bool_)
-    for dr in (-1, 0, 1):
-        for dc in (-1, 0, 1):
-            if dr == dc == 0:
-                continue
-            place = np.minimum(np.searchsorted(flat, flat + dr * stride + dc), len(flat) - 1)
-            there = flat[place] == flat + dr * stride + dc
-            earlier = dr < 0 or (dr == 0 and dc < 0)
-            best &= ~there | ((value > value[place]) if earlier else (value >= value[place]))
-    return np.flatnonzero(best)
+    at = dict(zip(zip(rows.tolist(), columns.tolist(), strict=True), value.tolist(), strict=True))
+    dark = -np.inf
+    return np.array(
+        [
+            n
+            for n, ((r, c), v) in enumerate(at.items())
+            if all(v > at.get((r + down, c + right), dark) for down, right in EARLIER)
+            and all(v >= at.get((r - down, c - right), dark) for down, right in EARLIER)
+        ],
+        np.intp,
+    )
 
 
 def _saddle(at: FloatArray, value: FloatArray, a: int, b: int) -> float:

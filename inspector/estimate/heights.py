@@ -113,7 +113,7 @@ def _sunk(
     There ``height_um`` and ``sigma_um`` (n,) are set anew: a sunk seed read as a resting one is up to 4 % too low.
     """
     flags = np.zeros(len(height_um), np.intp)
-    apart = np.flatnonzero((seeds.chi2 > SUNK_SIGMA**2) & (seeds.radius_mm > 0))
+    apart = ((seeds.chi2 > SUNK_SIGMA**2) & (seeds.radius_mm > 0)).nonzero()[0]
     if len(apart) == 0:
         return flags
     d, m = pairs.direct[apart], pairs.mirror[apart]
