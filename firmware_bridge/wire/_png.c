@@ -6,6 +6,9 @@
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
+#ifdef __SSE2__
+#include <emmintrin.h>
+#endif
 
 typedef int64_t i64;
 
@@ -36,12 +39,29 @@ static inline void along(int filter, const uint8_t *in, const uint8_t *above, ui
         }
 }
 
+/* SUB of pixels of one byte, which is what frames are recorded in. On an x86-64 sixteen at a time: four steps sum them up by
+ * themselves, and only one addition waits for the sixteen before. */
+static void sub_1(const uint8_t *in, uint8_t *out, i64 n) {
+    i64 i = 0;
+#ifdef __SSE2__
+    for (__m128i left = _mm_setzero_si128(); i + 16 <= n; i += 16) {
+        __m128i x = _mm_loadu_si128((const __m128i *)(in + i));
+        x = _mm_add_epi8(x, _mm_slli_si128(x, 1)), x = _mm_add_epi8(x, _mm_slli_si128(x, 2));
+        x = _mm_add_epi8(x, _mm_slli_si128(x, 4)), x = _mm_add_epi8(x, _mm_slli_si128(x, 8));
+        x = _mm_add_epi8(x, left);
+        _mm_storeu_si128((__m128i *)(out + i), x);
+        left = _mm_shufflehi_epi16(_mm_unpackhi_epi8(x, x), 0xff), left = _mm_unpackhi_epi64(left, left); /* its last byte */
+    }
+#endif
+    for (uint8_t left = i ? out[i - 1] : 0; i < n; i++) out[i] = left = (uint8_t)(left + in[i]);
+}
+
 /* One row by its filter, below another; whether there is such a filter. */
 static int undone(int filter, const uint8_t *in, const uint8_t *above, uint8_t *out, i64 n, i64 pixel) {
     switch (filter) {
     case NONE: memcpy(out, in, (size_t)n); break;
     case UP: up(in, above, out, n); break;
-    case SUB: pixel == 1 ? along(SUB, in, above, out, n, 1) : along(SUB, in, above, out, n, 2); break;
+    case SUB: pixel == 1 ? sub_1(in, out, n) : along(SUB, in, above, out, n, 2); break;
     case AVERAGE: pixel == 1 ? along(AVERAGE, in, above, out, n, 1) : along(AVERAGE, in, above, out, n, 2); break;
     case PAETH: pixel == 1 ? along(PAETH, in, above, out, n, 1) : along(PAETH, in, above, out, n, 2); break;
     default: return 0;

@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import math
 import struct
-import zlib
 
 import numpy as np
 import numpy.typing as npt
@@ -70,11 +69,6 @@ def _array(data: bytes) -> npt.NDArray[np.generic]:
 
 def _image(data: bytes) -> npt.NDArray[np.generic]:
     """The image that OpenCV sees, channels and depth as stored."""
-    import cv2  # 0.1 s, which the service's start need not wait for
-
-    # What is wrong is said by the exception; OpenCV 4 and 5 keep the switch of their own words in different places.
-    set_log_level = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel
-    set_log_level(0)
     damaged = ImageWrong("is damaged or cut short", "copy or save the frame again")
     if data.startswith(PNG):
         chunks = _png_chunks(data)
@@ -82,6 +76,11 @@ def _image(data: bytes) -> npt.NDArray[np.generic]:
             raise damaged
         if (plain := _plain_png(chunks)) is not None:
             return plain
+    import cv2  # 0.1 s, which the service's start need not wait for
+
+    # What is wrong is said by the exception; OpenCV 4 and 5 keep the switch of their own words in different places.
+    set_log_level = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel
+    set_log_level(0)
     if data.startswith(b"P2"):
         data += b"\n"  # OpenCV wants a blank after the last number too, which the format does not
     try:
@@ -101,11 +100,13 @@ Chunks = list[tuple[bytes, memoryview]]
 
 def _png_chunks(data: bytes) -> Chunks | None:
     """The chunks up to the last, each with the right checksum, or None. Decoders differ in what they let pass."""
+    from isal import isal_zlib  # several times as fast as zlib's own; needed for recorded frames only
+
     at, whole, chunks = len(PNG), memoryview(data), Chunks()
     while at + 12 <= len(data):
         (length,) = struct.unpack_from(">I", data, at)
         body, checksum = whole[at + 4 : at + 8 + length], whole[at + 8 + length : at + 12 + length]
-        if len(checksum) < 4 or zlib.crc32(body) != int.from_bytes(checksum, "big"):
+        if len(checksum) < 4 or isal_zlib.crc32(body) != int.from_bytes(checksum, "big"):
             return None
         chunks.append((bytes(body[:4]), body[4:]))
         if chunks[-1][0] == b"IEND":
@@ -134,7 +135,7 @@ def _plain_png(chunks: Chunks) -> npt.NDArray[np.generic] | None:
 
 def _inflated(packed: bytes, size: int) -> bytes:
     """``size`` bytes of a zlib stream, or fewer where it has no more or is damaged."""
-    from isal import isal_zlib  # twice as fast as zlib's own; needed for recorded frames only
+    from isal import isal_zlib
 
     try:
         return bytes(isal_zlib.decompressobj().decompress(packed, size))

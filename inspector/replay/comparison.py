@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -59,6 +60,7 @@ class Comparing:
     def __init__(self, change: Change) -> None:
         self._change = change
         self._made: dict[int, tuple[SettingsVersion, Reinspection]] = {}
+        self._latest: tuple[tuple[Path, str], Reinspection] | None = None
 
     def all(self, parts: Sequence[Stretch | Spoilt]) -> Iterator[Compared]:
         """Every frame and every spoilt line of these parts of sessions, in their order."""
@@ -94,7 +96,12 @@ class Comparing:
 
     def _again(self, frame: RecordedFrame) -> Reinspection:
         """What inspects this frame. Raises VersionWrong."""
-        recorded = frame.version()
+        of = frame.folder, frame.inspected.settings if frame.inspected else ""
+        if self._latest is None or self._latest[0] != of:
+            self._latest = of, self._made_of(frame.version())
+        return self._latest[1]
+
+    def _made_of(self, recorded: SettingsVersion) -> Reinspection:
         if id(recorded) not in self._made:
             again = Reinspection(self._change.applied(recorded))
             again.station, again.version.light  # noqa: B018  # what is wrong with the version is said before an image is read

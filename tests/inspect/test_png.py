@@ -17,7 +17,7 @@ from firmware_bridge.wire import image
 from inspector.model import Image
 
 IMAGES = st.sampled_from([np.uint8, np.uint16]).flatmap(
-    lambda kind: arrays.arrays(kind, arrays.array_shapes(min_dims=2, max_dims=2, max_side=7))
+    lambda kind: arrays.arrays(kind, st.tuples(st.integers(1, 5), st.integers(1, 7) | st.integers(15, 37)))
 )
 
 
