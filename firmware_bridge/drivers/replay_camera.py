@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -84,7 +85,7 @@ class ReplayCamera:
             raise ReplyWrong(self._device, f"{path} {error}") from error  # its words end in what to do
         self._shape = (grey.shape[0], grey.shape[1])
         exposure_us = self._recorded_us.get(path, self._exposure_us)
-        return CameraFrame(grey, frame_id, str(path), exposure_us, taken_at_s, taken_s)
+        return CameraFrame(grey, frame_id, _shown(path), exposure_us, taken_at_s, taken_s)
 
     def _next_file(self) -> Path:
         if self._position >= len(self._files):
@@ -124,6 +125,11 @@ class ReplayCamera:
             return ReplyWrong(self._device, f"{path}: {error.strerror}", "put the file back, or restart the recording")
         self._position -= 1
         return DeviceGone(self._device, f"folder {path.parent} is missing", "put the folder back")
+
+
+def _shown(path: Path) -> str:
+    """The path as text that any file and terminal takes: bytes that are no UTF-8 are written out."""
+    return os.fsencode(path).decode("utf-8", "backslashreplace")
 
 
 def _frames_in(path: Path) -> list[Path]:

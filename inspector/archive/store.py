@@ -60,8 +60,8 @@ class Store:
         self._tidied_bytes = 0
         try:
             self._connection = _opened(self._path, steps)
-            self._file = _identity(self._path)
             self.id = self._begin(run)
+            self._files = _identities(self._path)
         except BaseException as error:
             self.close()
             if isinstance(error, sqlite3.Error | OSError):
@@ -75,16 +75,13 @@ class Store:
         An entry that is written again replaces itself.
         """
         try:
-            if _identity(self._path) != self._file:
-                raise StoreDamaged(f"{self._path} was taken away or replaced")
+            self._check_files()
             with self._connection as transaction:
                 transaction.execute("BEGIN IMMEDIATE")
                 for entry in entries:
                     for rows in entry:
                         self._insert(rows)
-        except FileNotFoundError as error:
-            raise StoreDamaged(f"{self._path} was taken away") from error
-        except (*_REFUSALS, OverflowError) as error:
+        except (*_REFUSALS, OverflowError, TypeError, ValueError) as error:
             raise EntryRefused(f"{type(error).__name__}: {error}") from error
         except (sqlite3.Error, OSError) as error:
             raise _meant(error) from error
@@ -115,6 +112,20 @@ class Store:
             with suppress(sqlite3.Error):
                 connection.close()
 
+    def _check_files(self) -> None:
+        """See that the files are those that were opened. Raises StoreUnavailable, StoreDamaged, sqlite3.Error, OSError.
+
+        SQLite would go on in a log that was deleted, lost with the process: it is worked into the file.
+        """
+        found = _identities(self._path)
+        if found == self._files:
+            return
+        if found[0] != self._files[0]:
+            raise StoreDamaged(f"{self._path} was taken away or replaced")
+        _, held, done = self._connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
+        kind = StoreBusy if done < held else StoreUnavailable
+        raise kind(f"{self._path}-wal or -shm was taken away while in use: leave them alone; what they held is kept")
+
     def _begin(self, run: Run) -> int:
         """The run's row; the same run that opens the store again finds its own."""
         with self._connection as transaction:
@@ -138,9 +149,16 @@ class Store:
         self._connection.executemany(sql, values)
 
 
-def _identity(path: Path) -> tuple[int, int]:
-    """Which file a path names."""
-    found = path.stat()
+def _identities(path: Path) -> list[tuple[int, int] | None]:
+    """Which files the store's names are of; None: of none. Raises OSError."""
+    return [_identity(f"{path}{suffix}") for suffix in _BESIDE]
+
+
+def _identity(path: str) -> tuple[int, int] | None:
+    try:
+        found = os.stat(path)
+    except FileNotFoundError:
+        return None
     return found.st_dev, found.st_ino
 
 
@@ -158,7 +176,7 @@ def set_aside(folder: Path, now_s: float) -> Path | None:
         name = path.with_name(f"results.set-aside-{stamp}-{number}.sqlite")
     moved = None
     try:
-        for suffix in _BESIDE:
+        for suffix in reversed(_BESIDE):  # the log first: beside no file SQLite would take it for an old one's
             with suppress(FileNotFoundError):
                 os.replace(f"{path}{suffix}", f"{name}{suffix}")
                 moved = name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -169,6 +170,22 @@ def test_a_file_taken_away_or_replaced_is_noticed_at_the_next_result(tmp_path: P
         (tmp_path / FILE).rename(tmp_path / "elsewhere")
         with pytest.raises(StoreDamaged, match="taken away"):
             store.write([result(2)])
+
+
+@pytest.mark.parametrize("gone", ["-wal", "-shm"])
+def test_a_log_deleted_in_use_is_worked_into_the_file_and_begun_anew(tmp_path: Path, gone: str) -> None:
+    with opened(tmp_path) as store:
+        store.write([result(1)])
+        (tmp_path / f"{FILE}{gone}").unlink()
+        with pytest.raises(StoreUnavailable, match="was taken away while in use"):
+            store.write([result(2)])
+        killed = tmp_path / "killed"  # what a process that is killed now leaves
+        killed.mkdir()
+        shutil.copy(tmp_path / FILE, killed)
+        assert read(killed, "SELECT sequence FROM result") == [(1,)]
+    with opened(tmp_path) as store:
+        store.write([result(2)])
+        assert read(tmp_path, "SELECT sequence FROM result") == [(1,), (2,)]
 
 
 def test_steps_are_taken_after_a_backup_and_lose_nothing(tmp_path: Path) -> None:

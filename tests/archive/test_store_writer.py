@@ -80,6 +80,15 @@ def test_another_process_that_writes_is_waited_for_with_the_store_open(
     assert caplog.text.count("store fails") == 1
 
 
+def test_an_entry_that_no_store_takes_keeps_no_other_from_it(writer: Any, tmp_path: Path) -> None:
+    one = writer()
+    bad = [entries.action(60.0 + n, "PLC", what) for n, what in enumerate(("name \udce4", object(), 2**70))]
+    last = [one.put(entry) for entry in (result(1), *bad, result(2))][-1]
+    assert one.wait(last, 20)
+    assert one.lost == 3
+    assert read(tmp_path, "SELECT sequence FROM result ORDER BY id") == [(1,), (2,)]
+
+
 def test_a_store_begun_anew_knows_what_its_results_refer_to(writer: Any, tmp_path: Path) -> None:
     one = writer()
     one.stands("settings", entries.settings_version("0a", 1.0, "{}"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import signal
 import sqlite3
@@ -125,6 +126,33 @@ def test_without_its_disk_the_line_goes_on_and_nothing_is_lost(
     assert sum("results' store works again" in line for line in one.log) == 1
     faults = read(archive, "SELECT code, ended_s >= began_s FROM fault WHERE code = 601")
     assert (601, 1) in faults
+
+
+def test_results_survive_a_kill_though_their_log_was_deleted(
+    station: Any, archive: Path, module: Callable[[], ModuleServer], service: Callable[..., Any]
+) -> None:
+    module()
+    one = service()
+    begun = one.until(lambda r: r["sequence"] > 3 and not r["status"] & Status.STORE_DEGRADED, "stored results")
+    (archive / f"{FILE}-wal").unlink()
+    later = begun["sequence"] + 20
+    seen = one.until(lambda r: r["sequence"] > later and not r["status"] & Status.STORE_DEGRADED, "later ones")
+    one.send(signal.SIGKILL)
+    one.ended()
+    assert set(range(1, seen["sequence"] + 1)) <= set(sequences(archive))
+
+
+def test_frames_of_any_file_name_are_kept(
+    station: Any, archive: Path, module: Callable[[], ModuleServer], service: Callable[..., Any]
+) -> None:
+    """A name of another encoding than UTF-8, from a disk of another system."""
+    for frame in station.frames.iterdir():
+        os.rename(frame, os.fsencode(station.frames / "a") + b"\xe4.png")
+    module()
+    assert service("--panels", "3").ended() == 0
+    assert read(archive, "SELECT sequence, name LIKE '%a\\xe4.png' FROM frame, result ON id = result") == [
+        (n, 1) for n in (1, 2, 3)
+    ]
 
 
 def test_a_damaged_store_is_set_aside_and_the_plc_is_told_until_it_clears(
