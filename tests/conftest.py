@@ -22,7 +22,7 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # The same examples in every run, so more of them would show the same again and again: a measurement's tolerance is met
 # or not. `--hypothesis-profile search` looks further, each time elsewhere (make soak).
-settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=40)
+settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=30)
 settings.register_profile("search", deadline=None, max_examples=200)
 settings.load_profile("repeatable")
 

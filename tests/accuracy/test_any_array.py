@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from views import View
@@ -57,13 +57,11 @@ grey_dtypes = st.sampled_from([np.dtype(name) for name in ("u1", "<u2", ">u2")])
 shapes = arrays.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=48)
 
 
-@settings(max_examples=150)
 @given(image=grey_dtypes.flatmap(lambda dtype: arrays.arrays(dtype, shapes)))
 def test_any_grey_array(image: Any) -> None:
     checked(image)
 
 
-@settings(max_examples=60)
 @given(
     image=arrays.arrays(np.uint8, (24, 30), elements=st.sampled_from([0, 0, 0, 0, 0, 0, 1, 8, 120, 254, 255])),
     threshold_dn=st.none() | st.floats(0.5, 300),
@@ -73,7 +71,6 @@ def test_any_sparse_array_with_every_pixel_welcome(image: Any, threshold_dn: flo
     checked(image, Detection(threshold_dn=threshold_dn, max_lit_fraction=1.0, max_highlights=10_000))
 
 
-@settings(max_examples=60)
 @given(
     image=arrays.arrays(arrays.scalar_dtypes() | st.just(np.dtype(object)), arrays.array_shapes(min_dims=1, max_side=5))
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import combinations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from inspector.detect.matching import best_matching
@@ -33,7 +33,6 @@ def disjoint(edges: Couples, chosen: tuple[int, ...] | list[int]) -> bool:
     return len(members) == len(set(members))
 
 
-@settings(max_examples=200)
 @given(edges=couples)
 def test_no_other_set_costs_less(edges: Couples) -> None:
     chosen = matched(edges)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from spot_lists import flagged, seen, shuffled, spots_at, together
 from views import View, seeds_at, spread_px, views
@@ -39,7 +39,6 @@ def apart(n: int, rng: np.random.Generator, gap_px: float = 50.0) -> FloatArray:
     return chosen
 
 
-@settings(max_examples=100)
 @given(view=views, n=st.integers(1, 8), seed=SEEDS)
 def test_every_seed_is_paired_and_direct_told_from_mirror(view: View, n: int, seed: int) -> None:
     """Any camera, roll and lamp; the spots come in any order."""
@@ -51,7 +50,6 @@ def test_every_seed_is_paired_and_direct_told_from_mirror(view: View, n: int, se
     assert len(pairs.unpaired) == 0
 
 
-@settings(max_examples=60)
 @given(
     roll_deg=st.floats(-180, 180),
     lamp_azimuth_deg=st.floats(172, 188),
@@ -69,7 +67,6 @@ def test_seeds_sunk_in_the_paint_are_paired_too(
     assert couples(pair(spots, calibration)) == resting(4)
 
 
-@settings(max_examples=100)
 @given(view=views, n=st.integers(0, 30), seed=SEEDS)
 def test_every_highlight_is_somewhere_and_only_once(view: View, n: int, seed: int) -> None:
     """Spots anywhere, of any brightness and with any flags: the most tangled lists there are."""
@@ -106,7 +103,6 @@ def carried(calibration: Calibration, turn: FloatArray, shift_mm: FloatArray) ->
     )
 
 
-@settings(max_examples=60)
 @given(
     view=views,
     angle_deg=st.floats(-180, 180),
@@ -131,7 +127,6 @@ def test_a_station_turned_mirrored_and_shifted_measures_the_same(
     assert found_sigma == pytest.approx(sigma, rel=1e-2)
 
 
-@settings(max_examples=60)
 @given(view=views, roll_deg=st.floats(-180, 180), seed=SEEDS)
 def test_a_rolled_camera_measures_the_same_to_its_noise(view: View, roll_deg: float, seed: int) -> None:
     """Other pixels, other noise: heights change by no more than both noises explain."""

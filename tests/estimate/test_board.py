@@ -130,8 +130,15 @@ def expected_world(scene: Scene) -> FloatArray:
     return scene.world_mm if to_camera else 2 * scene.middle_mm - scene.world_mm
 
 
-@pytest.mark.parametrize("roll_deg", range(0, 360, 30))
-@pytest.mark.parametrize("azimuth_deg", [10, 100, 190, 280])
+TURNS = [(azimuth_deg, roll_deg) for azimuth_deg in (10, 100, 190, 280) for roll_deg in range(0, 360, 30)]
+SOME_TURNS = {(10 + 90 * ((n + n // 4) % 4), 30 * n) for n in range(12)}
+"""Each roll once, each azimuth with three that lie apart: both axes are met from every side."""
+
+
+@pytest.mark.parametrize(
+    ("azimuth_deg", "roll_deg"),
+    [turn if turn in SOME_TURNS else pytest.param(*turn, marks=pytest.mark.long) for turn in TURNS],
+)
 def test_any_turn_of_camera_and_board(azimuth_deg: float, roll_deg: float) -> None:
     scene = Scene(azimuth_deg=azimuth_deg, roll_deg=roll_deg, view_angle_deg=45 + roll_deg / 20)
     points = board.find(render(scene, seed=int(roll_deg)), 18.8, 6, 5).squares.points

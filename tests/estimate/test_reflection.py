@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from views import View, seeds_at, spread_px, views
 
@@ -26,7 +26,6 @@ def solved(
     return reflection.solve(rays, covariance, np.arange(n), np.arange(n) + n, calibration)
 
 
-@settings(max_examples=150)
 @given(view=views, spacing_px=st.floats(4, 40), seed=st.integers(0, 2**32 - 1))
 def test_exact_pixels_give_the_seed_back(view: View, spacing_px: float, seed: int) -> None:
     calibration = view.calibration
@@ -38,7 +37,6 @@ def test_exact_pixels_give_the_seed_back(view: View, spacing_px: float, seed: in
     assert np.all(found.chi2 < 1e-12)
 
 
-@settings(max_examples=60)
 @given(view=views, seed=st.integers(0, 2**32 - 1))
 def test_a_spot_is_where_lamp_and_camera_are_bisected(view: View, seed: int) -> None:
     """The law of reflection at both spots, and that both spots lie on the sphere: nothing of the solver is used."""

@@ -66,7 +66,6 @@ def test_a_verdict_is_shown_only_while_everything_stands_behind_it(
         assert (tree["fault"] is None) is (fault == 0)
 
 
-@settings(max_examples=40)
 @given(areas, areas)
 def test_whatever_the_registers_hold_is_shown(result: list[int], area: list[int]) -> None:
     seeds = decode([7] * 300, 1000)
@@ -126,7 +125,6 @@ class Wire:
         return dict(decode(unpacked(data), OPERATOR_ADDRESS))
 
 
-@settings(max_examples=150)
 @given(
     st.lists(st.sampled_from(("arrives", "is lost", "obey")), max_size=40),
     st.sampled_from((Deed.CHANGE_RECIPE, Deed.RESET_STATISTICS)),

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
@@ -54,7 +54,6 @@ def png(pixels: Image, raw: bytes, *more: bytes) -> bytes:
     return b"".join([image.PNG, chunk(b"IHDR", header), *more, *parts, chunk(b"IEND", b"")])
 
 
-@settings(max_examples=50)
 @given(IMAGES, st.data())
 def test_any_filter_gives_the_pixels_back(pixels: Image, data: st.DataObject) -> None:
     one = st.integers(0, 4).map(lambda kind: [kind] * len(pixels))
@@ -71,7 +70,6 @@ def test_a_frame_as_opencv_writes_it_is_the_same(kind: type) -> None:
     assert np.array_equal(image.decode(cv2.imencode(".png", pixels)[1].tobytes()), pixels)
 
 
-@settings(max_examples=100)
 @given(IMAGES, st.data())
 def test_whatever_rows_say_no_memory_is_written_beside_the_pixels(pixels: Image, data: st.DataObject) -> None:
     height, width, depth = *pixels.shape, pixels.dtype.itemsize
@@ -85,7 +83,6 @@ def test_whatever_rows_say_no_memory_is_written_beside_the_pixels(pixels: Image,
     assert (room[edge + max(done, 1) * width * depth :] == 0xA5).all()  # the first row is made ready before it is known
 
 
-@settings(max_examples=100)
 @given(IMAGES, st.data())
 def test_a_damaged_stream_gives_an_image_or_is_refused(pixels: Image, data: st.DataObject) -> None:
     """Bytes changed or lost before the checksums are made, so that nothing but the inflating is to notice them."""
