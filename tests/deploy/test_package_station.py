@@ -1,18 +1,22 @@
-"""A station from the package: the page beside a service with secrets, frames of 12 megapixels in its memory."""
+"""A station from the package: page beside a service with secrets, frames of 12 megapixels, a backup restored."""
 
 from __future__ import annotations
 
+import contextlib
+import json
 import re
+import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import booted
 import cv2
 import pytest
 import yaml
 from browser import Browser
-from installed import STATE, a_result, install, set_up
+from installed import PYTHON, STATE, a_result, as_documented, install, set_up
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(1200)]
 
@@ -111,3 +115,70 @@ def test_frames_of_12_megapixels_are_inspected_and_kept_in_the_memory_that_the_u
     (peak_kib,) = re.findall(r"VmHWM:\s+(\d+) kB", status)
     print(f"\n{len(images)} images; resident at most {int(peak_kib) / 1024:.0f} MiB")
     assert int(peak_kib) * 1024 < MEMORY_MAX / 2
+
+
+ARCHIVE = "/var/lib/inspector/archive"
+SAVED = "srv/backup"
+ROWS = """
+import hashlib, json, sqlite3, sys
+store = sqlite3.connect(f"file:{sys.argv[1]}?mode=ro", uri=True)
+digest = hashlib.sha256()
+for table, key in (("result", "id"), ("frame", "result"), ("defect", "result")):
+    for row in store.execute(f"SELECT * FROM {table} WHERE {key} >> 32 = 1 ORDER BY 1, 2"):
+        digest.update(repr(row).encode())
+last = "SELECT max(sequence), count(*) FROM result WHERE id >> 32 = 1"
+first_since = "SELECT min(sequence) FROM result WHERE id >> 32 > 1"
+print(json.dumps([*store.execute(last).fetchone(), digest.hexdigest(), *store.execute(first_since).fetchone()]))
+"""
+
+
+@pytest.fixture
+def successor(booted_files: Path, tmp_path: Path) -> Iterator[Any]:
+    """Another machine that has come up; nothing is installed."""
+    folder = tmp_path / "successor"
+    folder.mkdir()
+    with contextlib.closing(booted.Booted(folder, booted_files)) as machine:
+        machine.boot()
+        yield machine
+
+
+def kept(machine: Any, store: str) -> list[Any]:
+    """Of the first run in a store: its last sequence, results, and a digest of all rows; then the next run's first."""
+    found: list[Any] = json.loads(machine.run(PYTHON, "-I", "-c", ROWS, store).stdout)
+    return found
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_a_backup_of_a_running_station_is_restored_on_another_computer_as_the_manual_prints_it(
+    machine: Any, successor: Any, package: Path, wait_until: Callable[..., Any]
+) -> None:
+    install(machine, package)
+    etc = machine.root / "etc/inspector"
+    with (etc / "calibration/demo.yaml").open("a") as calibration:
+        calibration.write("# of this station\n")
+    (etc / "recipes/own.yaml").write_text("# of this station\n")
+    set_up(machine, archive={"folder": ARCHIVE})
+    before = a_result(machine, wait_until)
+    as_documented(machine, "Back up while the station runs", "backup.md")
+    settings = contents(etc)
+    shutil.copytree(machine.root / SAVED, successor.root / SAVED)
+    machine.cut_power()
+
+    install(successor, package)
+    for step in ("2. Stop the service", "3. Put the store", "4. Start"):
+        as_documented(successor, step, "backup.md")
+    assert contents(successor.root / "etc/inspector") == settings
+    a_result(successor, wait_until, after=before)
+    last, count, digest, _ = kept(successor, f"/{SAVED}/results.sqlite")
+    assert before <= last == count
+    *restored, first_since = kept(successor, f"{ARCHIVE}/results.sqlite")
+    assert restored == [last, count, digest]
+    assert first_since > last
+    archive = successor.root / STATE / "archive"
+    assert not list(archive.glob("*set-aside*"))
+    owners = {path.lstat().st_uid for path in (archive, *archive.rglob("*"))}
+    assert owners == {(successor.root / STATE).stat().st_uid}
+    assert successor.run("systemctl", "is-enabled", "inspector").stdout.strip() == "enabled"
