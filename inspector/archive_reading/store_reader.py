@@ -98,6 +98,8 @@ def _unreadable(path: Path, error: sqlite3.Error) -> ArchiveUnreadable:
     code = getattr(error, "sqlite_errorcode", 0) & 0xFF
     if code in (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM):
         remedy = "run this as the service's user, who may read it and write beside it"
+        if _log_of(path).exists():
+            remedy += f", or copy it with {_log_of(path).name} to where you may write"
     elif code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB) or "no such table" in str(error):
         remedy = f"it is damaged, or no store: name a sound copy, or save what can be: sqlite3 {path} .recover"
     else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 import sqlite3
 from contextlib import closing
@@ -172,18 +173,21 @@ def test_the_report_on_a_shift_counts_what_the_store_does(kept: Any, tmp_path: P
     assert "No result was kept in it." in Page(out).words
 
 
+def one_panel(station: Any, archive: Path, frame: str, **own: Any) -> None:
+    """A panel inspected by settings of its ``own`` from a recorded frame, into an archive."""
+    settings = station.settings | own
+    settings["archive"] = {"folder": str(archive), "frames": {"min_free_mb": 0}}
+    settings["camera"] = settings["camera"] | {"paths": [str(station.frames / frame)]}
+    file = station.folder / f"{archive.parent.name}.yaml"
+    file.write_text(json.dumps(settings))
+    forked.run("run", "--config", file, "--panels", "1").check_returncode()
+
+
 def test_sightings_of_several_frames_are_told_with_their_panel(
     kept: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    station = kept[0]
-    settings = station.settings | {
-        "panel": {"frames": {"kind": "count", "count": 2}, "travel": {"by": {"kind": "pitch", "mm_per_frame": 0.01}}},
-        "archive": {"folder": str(tmp_path / "archive"), "frames": {"min_free_mb": 0}},
-        "camera": station.settings["camera"] | {"paths": [str(station.frames / "F000.png")]},
-    }
-    file = station.folder / "panels.yaml"
-    file.write_text(json.dumps(settings))
-    forked.run("run", "--config", file, "--panels", "1").check_returncode()
+    panel = {"frames": {"kind": "count", "count": 2}, "travel": {"by": {"kind": "pitch", "mm_per_frame": 0.01}}}
+    one_panel(kept[0], tmp_path / "archive", "F000.png", panel=panel)
     done = run("explain", "1", tmp_path / "archive", "--format", "json")
     said = json.loads(done.stdout)
     assert (done.exit_code, said["same"], said["panel"]["same"]) == (0, True, True)
@@ -194,6 +198,31 @@ def test_sightings_of_several_frames_are_told_with_their_panel(
     monkeypatch.chdir(tmp_path)
     assert run("report", "result:1", "archive").exit_code == 0
     assert Page(tmp_path / "report-result-1.html").images == 2
+
+
+CHAIN = re.compile(
+    r"alpha (.+), beta (.+) deg: X = (.+) \(5\.1\), EA = X cos beta = (.+) \(4\.4\),"
+    r" CA = EA / cos\(2 beta - 90\) = (.+) \(4\.1\), h = CA sin\(90 - beta\) = (.+) \(4\.2\),"
+    r" a = (.+) mm \(4\.5\), x gain: (.+) um"
+)
+
+
+def test_a_height_by_the_thesis_is_told_with_its_equations(kept: Any, tmp_path: Path) -> None:
+    recipe = kept[0].settings["recipe"] | {"method": "thesis"}
+    one_panel(kept[0], tmp_path / "archive", "F000.png", recipe=recipe)
+    heights = [height for (height,) in stored(tmp_path / "archive", "SELECT height_um FROM defect ORDER BY number")]
+    done = run("explain", "1", tmp_path / "archive")
+    assert done.exit_code == 0
+    assert "to the last bit" in done.stdout
+    assert done.stdout.count("the result is by the method thesis") == len(heights) > 1
+    chains = [tuple(map(float, values)) for values in CHAIN.findall(done.stdout)]
+    for (alpha, beta, x, ea, ca, h, a, told), height in zip(chains, heights, strict=True):
+        beta_rad, middle = math.radians(beta), math.radians((beta - alpha) / 2)
+        assert ea == pytest.approx(x * math.cos(beta_rad), rel=1e-4)
+        assert ca == pytest.approx(ea / math.sin(2 * beta_rad), rel=1e-4)
+        assert h == pytest.approx(ca * math.cos(beta_rad), rel=1e-4)
+        assert a == pytest.approx(h / ((1 + math.cos(middle)) / 2), rel=1e-4)
+        assert (told, a) == (pytest.approx(height, abs=0.06), pytest.approx(height / 1000, rel=1e-4))
 
 
 @pytest.mark.parametrize(("options", "says"), [
