@@ -90,7 +90,8 @@ def parse(path: Path) -> Page:
             name = name if name not in anchors else f"{name}-{sum(a.startswith(name) for a in anchors)}"
             anchors[name] = content.content
             opening.attrSet("id", name)
-    return Page(path, next(iter(anchors.values()), path.stem), tokens, frozenset(anchors))
+    title = next(iter(anchors.values()), path.stem).replace("`", "")
+    return Page(path, title, tokens, frozenset(anchors))
 
 
 def slug(heading: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
 from itertools import groupby
@@ -120,7 +120,7 @@ def _section(section: Section) -> Iterator[str]:
 
 
 def _table(table: Table) -> Iterator[str]:
-    kinds = [' class="text"' if _is_text(row[n] for row in table.rows) else "" for n in range(len(table.header))]
+    kinds = [_kind([row[n] for row in table.rows]) for n in range(len(table.header))]
     head = "".join(f"<th{kind}>{escape(cell)}</th>" for kind, cell in zip(kinds, table.header, strict=True))
     yield f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>'
     for n, row in enumerate(table.rows):
@@ -129,9 +129,11 @@ def _table(table: Table) -> Iterator[str]:
     yield "</tbody></table></div>"
 
 
-def _is_text(column: Iterable[str]) -> bool:
-    """Whether cells are words, which stand on the left."""
-    return any(cell and not cell[0].isdigit() and cell[0] not in "-+±" for cell in column)
+def _kind(column: Sequence[str]) -> str:
+    """Words stand on the left, and no number is broken into two lines."""
+    if any(cell and not cell[0].isdigit() and cell[0] not in "-+±" for cell in column):
+        return ' class="text"'
+    return "" if any(" " in cell for cell in column) else ' class="number"'
 
 
 STYLE = """
@@ -149,21 +151,24 @@ h2{font-size:17px;margin:26px 0 8px;padding-bottom:3px;border-bottom:1px solid v
 h3{font-size:15px;margin:18px 0 6px}
 p{margin:6px 0}pre{margin:6px 0;padding:8px 12px;background:#f4f6f8;border-left:3px solid var(--line);
 font:12.5px/1.5 ui-monospace,"DejaVu Sans Mono",monospace;white-space:pre-wrap}
-dl{display:grid;grid-template-columns:repeat(auto-fill,minmax(240px,1fr));gap:8px 20px;margin:8px 0}
+dl{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(240px,44%),1fr));gap:8px 20px;margin:8px 0}
 dt{color:var(--dim);font-size:12px}dd{margin:0;font-weight:600;overflow-wrap:anywhere}
 .wide{overflow-x:auto}table{border-collapse:collapse;width:100%;margin:8px 0;font-size:13px;
 font-variant-numeric:tabular-nums}
 th{text-align:right;color:var(--dim);font-weight:600;font-size:12px;border-bottom:2px solid var(--line);
 padding:4px 8px;vertical-align:bottom}
 td{text-align:right;padding:3px 8px;border-bottom:1px solid var(--line)}
-th.text,td.text,th:first-child,td:first-child{text-align:left}
+td.number{white-space:nowrap}th.text,td.text,th:first-child,td:first-child{text-align:left}
 tr.fail td{background:#fdecec}tr.near td{background:#fff5e0}
 .pictures{display:flex;flex-wrap:wrap;gap:14px;margin:8px 0}
 figure{margin:0;flex:1 1 100%}figure.narrow{flex:0 1 calc(33.3% - 10px)}
 figure img,figure svg{width:100%;height:auto;display:block;border:1px solid var(--line)}
 figcaption{color:var(--dim);font-size:12px;padding:3px 0}
 footer{margin-top:30px;padding-top:8px;border-top:1px solid var(--line);color:var(--dim);font-size:12px}
+@media(max-width:600px){body{padding:14px}figure{overflow-x:auto}figure svg{min-width:640px}
+figure.narrow{flex-basis:calc(50% - 7px)}}
 @media print{@page{size:A4;margin:14mm}body{padding:0;max-width:none;font-size:11px}
 *{-webkit-print-color-adjust:exact;print-color-adjust:exact}
-h2,h3{break-after:avoid}figure,tr,dl div{break-inside:avoid}thead{display:table-header-group}.wide{overflow:visible}}
+dl{grid-template-columns:repeat(4,1fr)}td,th,figcaption{font-size:11px}
+h2,h3{break-after:avoid}figure,tr,dl{break-inside:avoid}thead{display:table-header-group}.wide{overflow:visible}}
 """
