@@ -98,6 +98,7 @@ def test_every_page_is_reached_and_every_link_in_the_built_manual_leads_somewher
                 lost.append(f"{path.relative_to(built.resolve())}: {link}")
     assert not lost
     assert not [page for page, html in pages.items() if not html.links and page.name != "index.html"]
+    assert "`" not in (built / "docs/README.html").read_text().partition("</nav>")[0]
 
 
 @pytest.mark.parametrize(("text", "said"), [("[x](away.md)", "away.md"), ("[x](#nothing)\n# Head", "#nothing")])
