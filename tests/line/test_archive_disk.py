@@ -94,10 +94,9 @@ def test_no_result_is_missed_and_all_are_kept_when_the_disk_is_back(
 
             def told() -> bool:
                 keep_up()
-                return bool(watcher.status & Status.STORE_DEGRADED)
+                return bool(watcher.status & Status.STORE_DEGRADED) and "results' store fails" in life.log
 
-            wait_until(told, f"STORE_DEGRADED; log: {life.log}", 60)
-            wait_until(lambda: "results' store fails" in life.log, "the log is told")
+            wait_until(told, f"STORE_DEGRADED, and the log is told; log: {life.log}", 80)
             life.shows(watcher, len(watcher.shown) + RESULTS)
         before = watcher.shown[-1]
         _until_kept(watcher, before, wait_until, life)
