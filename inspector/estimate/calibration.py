@@ -279,9 +279,12 @@ def _rotation_from_rows(r11: float, r12: float, r21: float, r22: float) -> Float
     """Rotation (3, 3) from its upper left corner, with r13 >= 0.
 
     Rows are orthogonal, so r13 and r23 differ in sign where r11 r21 + r12 r22 > 0 (the thesis prints it the wrong way).
+    Where that is exactly 0, as for a camera without roll, r13 is 0, and either sign of r23 will do.
     """
     r13 = np.sqrt(max(1 - r11**2 - r12**2, 0.0))
-    r23 = -np.sign(r11 * r21 + r12 * r22) * np.sqrt(max(1 - r21**2 - r22**2, 0.0))
+    r23 = np.sqrt(max(1 - r21**2 - r22**2, 0.0))
+    if r11 * r21 + r12 * r22 > 0:
+        r23 = -r23
     first, second = np.array([r11, r12, r13]), np.array([r21, r22, r23])
     return np.array([first, second, np.cross(first, second)])
 
