@@ -177,7 +177,7 @@ def test_which_results_the_journal_is_told(results: Any, told: str, caplog: pyte
 
 STDERR_IS_THE_JOURNAL = """
 import os, sys
-from inspector.cli import app as cli
+from inspector import __main__ as cli
 from inspector import journal_log
 found = os.fstat(2)
 os.environ["JOURNAL_STREAM"] = f"{found.st_dev}:{found.st_ino}"
