@@ -71,6 +71,11 @@ class StoreWriter:
         return self._lost
 
     @property
+    def standing(self) -> list[Entry]:
+        """What entries refer to, put by :meth:`stands`."""
+        return list(self._standing.values())
+
+    @property
     def set_aside(self) -> Path | None:
         """Where a damaged store was put; None if it was sound."""
         return self._set_aside
@@ -120,8 +125,8 @@ class StoreWriter:
         if self.lag_s() > SLOW_S:
             self._outage.begins(f"{self._folder} takes more than {SLOW_S:g} s. {Fault.STORE_DEGRADED.remedy}")
 
-    def close(self, timeout_s: float, ended_s: float) -> int:
-        """Write what waits, if that can be done in the time, and close; how many entries are lost."""
+    def close(self, timeout_s: float, ended_s: float) -> list[Entry]:
+        """Write what waits, if that can be done in the time, and close; the entries that are left."""
         with self._changed:
             self._stopping = True
             self._changed.notify_all()
@@ -132,7 +137,8 @@ class StoreWriter:
             if self._store is not None:
                 self._store.close(ended_s)
             self._claim.close()
-        return self.waiting
+        with self._changed:
+            return list(self._waiting)
 
     def _work(self) -> None:
         """The thread. Ends when it is asked to and nothing waits, or when what waits cannot be written."""

@@ -17,7 +17,7 @@ from inspector import settings_version
 from inspector.archive import entries
 from inspector.archive.archive_settings import ArchiveSettings
 from inspector.archive.claim import Claim
-from inspector.archive.entries import Taken
+from inspector.archive.entries import Entry, Taken
 from inspector.archive.recorder import Plan, Recorder, Version
 from inspector.archive.session_frames import Inspected
 from inspector.archive.store import Run
@@ -32,7 +32,7 @@ from inspector.settings import Settings
 HOURS_STEP = 0.1
 """The bulb's burning hours are kept so often, hours."""
 HELD_BYTES = 64_000_000
-"""Frames of a panel under way are held for its verdict in so much memory; more of them are not kept."""
+"""Images of a panel under way are held for its verdict in so much memory; more of them are not kept."""
 SETTLES_S = 5.0
 """A disk that works again for so long is said to."""
 CLOSE_STORE_S, CLOSE_FRAMES_S = 1.5, 1.0
@@ -55,11 +55,15 @@ class Ledger:
         """Keep things by these settings from now on; before the first of them, nothing is kept."""
         archive, books = settings.archive, self._books
         self._held = []  # of a panel that has ended with the settings before
+        left: list[Entry] = []
         if books is not None and (archive is None or archive.folder != books.settings.folder):
-            self._close_books(books)
-            books = None
-        if archive is not None and books is None:
+            left = self._closed(books)
+            left, books = [*books.writer.standing, *left] if left else [], None
+        if archive is None:
+            _tell_lost(left)
+        elif books is None:
             books = _Books(archive, Run(self._started_s, version("seed-inspector"), settings.station))
+            books.go_on_with(left)
         if archive is not None and books is not None:
             books.go_by(archive, settings, self._clock())
         self._books = books
@@ -69,14 +73,16 @@ class Ledger:
         return self._books.gauges() if self._books else {}
 
     def took(self, turn: Turn) -> None:
-        """A cycle is done: its frame is of the result that comes next, or of its panel's."""
+        """A cycle is done: its frame is of the result that comes next, or of its panel's. Without an image where that
+        finds no room."""
         if self._books is None or turn.frame is None or turn.result is None or turn.wanted is None:
             return
         held = sum(taken.frame.image.nbytes for taken in self._held)
-        if held + turn.frame.image.nbytes <= HELD_BYTES:
-            spots = turn.result.highlights
-            result = turn.result if spots is None else replace(turn.result, highlights=None)
-            self._held.append(Taken(turn.frame, result, turn.wanted.exposure_us, turn.wanted.lamp_v))
+        fits = held + turn.frame.image.nbytes <= HELD_BYTES
+        frame = turn.frame if fits else replace(turn.frame, image=turn.frame.image[:0].copy())
+        spots = turn.result.highlights
+        result = turn.result if spots is None else replace(turn.result, highlights=None)
+        self._held.append(Taken(frame, result, turn.wanted.exposure_us, turn.wanted.lamp_v))
 
     def kept(self, result: Snapshot, texts: Sequence[str], panel: PanelResult | None = None) -> Snapshot:
         """A result as it may be shown: on the disk, or marked as not. ``panel``: what several frames say together."""
@@ -121,16 +127,15 @@ class Ledger:
     def close(self) -> None:
         """Write what waits; what cannot be written in a short time is lost, and said so."""
         if self._books is not None:
-            self._close_books(self._books)
+            _tell_lost(self._closed(self._books))
             self._books = None
 
-    def _close_books(self, books: _Books) -> None:
+    def _closed(self, books: _Books) -> list[Entry]:
+        """What could not be written in a short time."""
         left_out = books.recorder.close(CLOSE_FRAMES_S)
-        lost = books.writer.close(CLOSE_STORE_S, self._clock())
-        if lost:
-            log.error("stopped with %d entries that were not in the store: they are lost", lost)
         if left_out:
             log.warning("stopped with %d frames that were not written", left_out)
+        return books.writer.close(CLOSE_STORE_S, self._clock())
 
     def _note_faults(self, books: _Books, snapshot: Snapshot) -> None:
         codes = {int(fault) for fault in faults_of(snapshot)}
@@ -182,6 +187,11 @@ class _Books:
             "inspector_archive_left_out_frames_total": self.recorder.left_out,
         }
 
+    def go_on_with(self, left: Sequence[Entry]) -> None:
+        """Write what another folder did not take."""
+        for entry in left:
+            self._last = self.writer.put(entry)
+
     def go_by(self, archive: ArchiveSettings, settings: Settings, now_s: float) -> None:
         """What comes is found by these settings: they are kept, whole."""
         self.settings, self.recorder.settings = archive, archive.frames
@@ -205,7 +215,10 @@ class _Books:
         passed = result.verdict is Verdict.PASS
         plan = self.recorder.plan(passed, len(taken), at_s) if taken else None
         files = [f"{result.sequence:010d}-{number:02d}.png" for number in range(len(taken))]
-        places = [plan.place(file) if plan else None for file in files]
+        places = [
+            plan.place(file) if plan and part.frame.image.size else None
+            for file, part in zip(files, taken, strict=True)
+        ]
         degraded = self.degraded
         marked = replace(result, store_degraded=degraded)
         names = self._version.name, self._recipe
@@ -223,6 +236,8 @@ class _Books:
         found = []
         for number, (part, file) in enumerate(zip(taken, files, strict=True)):
             frame, is_last = part.frame, number == len(taken) - 1
+            if not frame.image.size:
+                continue
             said = Inspected(
                 self._version.name,
                 plan.kept,
@@ -238,6 +253,11 @@ class _Books:
             values = (frame.frame_id, frame.taken_at_s, frame.exposure_us, part.exposure_set_us, frame.lamp_v)
             found.append((frame.image, Recorded(file, *values, part.lamp_set_v, said.as_dict())))
         return found
+
+
+def _tell_lost(left: Sequence[Entry]) -> None:
+    if left:
+        log.error("stopped with %d entries that were not in the store: they are lost", len(left))
 
 
 def _of(held: list[Taken], panel: PanelResult | None) -> tuple[list[Taken], list[Taken]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from itertools import accumulate
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -168,17 +169,32 @@ def test_no_more_goes_than_has_to_and_the_oldest_first(
     held: list[Held], days: float, most_mb: float, least_free: float, free: float
 ) -> None:
     now_s = 1e9
+    old = overdue(held, Limits(days, 1e9, 0.0), now_s, 0.0)
+    assert all(now_s - h.newest_s > days * DAY_S for h in held if h.name in old)
     going = overdue(held, Limits(days, most_mb, least_free), now_s, free)
-    assert going == [h.name for h in held[: len(going)]]
-    left = held[len(going) :]
-    freed = sum(h.size_bytes for h in held[: len(going)])
+    young = [name for name in going if name not in old]
+    assert young == [h.name for h in held if h.name not in old][: len(young)]
+    left = [h for h in held if h.name not in going]
+    freed = sum(h.size_bytes for h in held if h.name in going)
     fits = sum(h.size_bytes for h in left) <= most_mb * 1e6 and free + freed >= least_free
-    assert not left or (fits and now_s - left[0].newest_s <= days * DAY_S)
-    if going:
-        last = held[len(going) - 1]
-        short = free + freed - last.size_bytes < least_free
-        large = sum(h.size_bytes for h in left) + last.size_bytes > most_mb * 1e6
-        assert short or large or now_s - last.newest_s > days * DAY_S
+    assert set(old) <= set(going)
+    assert not left or fits
+
+
+@given(st.lists(st.integers(1, 80), min_size=1, max_size=8), st.integers(1, 60))
+def test_frames_go_at_their_age_while_the_line_runs(pauses_days: list[int], days: int) -> None:
+    now_s, ages = 1e9, list(accumulate(pauses_days))
+    held = [Held(str(age), 1, now_s - age * DAY_S, 1) for age in reversed(ages)]
+    assert overdue(held, Limits(days, 1.0, 0.0), now_s, 0.0) == [str(a) for a in reversed(ages) if a > days]
+
+
+@pytest.mark.parametrize("ahead_days", [365, 20_000])
+def test_a_clock_that_is_set_ahead_deletes_nothing_and_one_set_back_stops_nothing(ahead_days: float) -> None:
+    held = [Held(str(day), 1, 1e9 + day * DAY_S, 1) for day in range(20)]
+    ahead_s, limits = 1e9 + ahead_days * DAY_S, Limits(30, 1.0, 0.0)
+    after = Held("after", 1, ahead_s, 1)
+    assert overdue([*held, after], limits, ahead_s + 3600, 0.0) == []
+    assert overdue([after, *held], limits, 1e9 + 40.5 * DAY_S, 0.0) == [str(day) for day in range(11)]
 
 
 def test_sessions_from_before_the_clock_was_set_back_are_the_oldest(tmp_path: Path) -> None:

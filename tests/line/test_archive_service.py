@@ -9,6 +9,7 @@ import signal
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +19,20 @@ from typer.testing import CliRunner
 
 from firmware_bridge.simulators.module_server import ModuleServer
 from firmware_bridge.wire import session
+from inspector import settings_version
+from inspector.acquire.capture import Wanted
 from inspector.archive import result_json
 from inspector.archive.session_frames import inspected, version_file
 from inspector.archive.store import FILE
 from inspector.cli.app import app
 from inspector.handshake_table import Control
 from inspector.metrics.table import ARCHIVE
-from inspector.model import Frame
+from inspector.model import Frame, PanelFrame, PanelFrames, Snapshot
 from inspector.pipeline import Station, inspect
 from inspector.publish.registers import CONTROL_ADDRESS, Status
+from inspector.reinspection import Reinspection
+from inspector.service import ledger
+from inspector.service.cycle import Turn
 from inspector.service.ledger import Ledger
 from inspector.settings import load
 from inspector.settings_version import from_json
@@ -128,6 +134,29 @@ def test_without_its_disk_the_line_goes_on_and_nothing_is_lost(
     assert (601, 1) in faults
 
 
+def test_what_waits_for_a_disk_goes_to_the_one_that_the_settings_name_instead(
+    station: Any, archive: Path, module: Callable[[], ModuleServer], service: Callable[..., Any]
+) -> None:
+    module()
+    one = service()
+    one.until(lambda r: r["sequence"] > 3 and not r["status"] & Status.STORE_DEGRADED, "stored results")
+    before, after = station.folder / "elsewhere", station.folder / "another"
+    archive.rename(before)
+    archive.write_text("no folder")
+    one.until(lambda r: r["store_waiting"] >= 20, "results that wait")
+    station.settings["archive"]["folder"] = after.name
+    station.write()
+    one.send(signal.SIGHUP)
+    one.until(lambda _: (after / FILE).exists(), "the other archive")
+    one.until(lambda r: r["verdict"] and not r["status"] & Status.STORE_DEGRADED, "stored results")
+    one.send(signal.SIGTERM)
+    assert one.ended() == 0
+    found = sequences(before) + sequences(after)
+    assert found == list(range(1, found[-1] + 1))
+    versions = "SELECT count(*) FROM result WHERE settings NOT IN (SELECT name FROM settings_version)"
+    assert read(after, versions) == [(0,)]
+
+
 def test_results_survive_a_kill_though_their_log_was_deleted(
     station: Any, archive: Path, module: Callable[[], ModuleServer], service: Callable[..., Any]
 ) -> None:
@@ -199,3 +228,29 @@ def test_a_panel_of_several_frames_is_kept_as_one(
         said = [inspected(recorded) for recorded in session.parse(index.read_text())]
         places = [(one.number, one.panel is not None) for one in said if one]
         assert places == [(0, False), (1, False), (2, True)] * (len(said) // 3)
+
+
+def test_a_panel_larger_than_memory_may_hold_has_a_row_for_each_frame(
+    station: Any, archive: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ledger, "HELD_BYTES", 2 * 640 * 480)
+    one, found_by = Ledger(), load(station.file)
+    one.take_over(found_by)
+    reinspection, parts = Reinspection(settings_version.of(found_by)), list[PanelFrame]()
+    for number, file in enumerate(sorted(station.frames.iterdir())[:3]):
+        image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        found = replace(reinspection.frame(image, file.name), highlights=None)
+        frame = Frame(image, file.name, number, 1000.0, 4.0, 10.0 + number)
+        one.took(Turn(Snapshot(), frame=frame, result=found, wanted=Wanted(1000.0, 4.0, 0.1, 0.1)))
+        parts.append(PanelFrame(found, 5.0 * number))
+    panel = replace(reinspection.panel(parts, 7, ()), gathered=PanelFrames(7, tuple(parts)))
+    one.kept(Snapshot(sequence=1, panel_id=7, verdict=panel.verdict), (), panel)
+    one.close()
+    assert read(archive, "SELECT frame_count, number, image IS NOT NULL FROM frame JOIN result ON result = id") == [
+        (3, 0, 1),
+        (3, 1, 1),
+        (3, 2, 0),
+    ]
+    done = CliRunner().invoke(app, ["replay", str(archive), "--format", "json"])
+    said = json.loads(done.stdout)
+    assert (said["frames"], said["frames_same"], said["panels"], said["differences"]) == (2, 2, 0, [])
