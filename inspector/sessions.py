@@ -105,8 +105,10 @@ def find(paths: Sequence[Path]) -> list[Path]:
 
 def counted_in(folder: Path, shelves: Collection[Path]) -> Path | None:
     """Which of the ``shelves`` that are read has frames of this session, of an archive's last ones, too; or None."""
+    if folder.parent.name != LAST:
+        return None
     frames = folder.parent.with_name(FRAMES)
-    return frames if folder.parent.name == LAST and frames in shelves else None
+    return frames if frames in shelves else None
 
 
 def read_session(folder: Path) -> list[RecordedFrame | Spoilt]:

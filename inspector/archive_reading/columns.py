@@ -188,7 +188,7 @@ FAULTS = Table(
         Column("station", "string", "the station's name", "u.station"),
     ),
     at="f.began_s",
-    until="coalesce(f.ended_s, u.ended_s, 9e99)",
+    until="coalesce(f.ended_s, u.ended_s, (SELECT min(n.started_s) FROM run n WHERE n.id > f.run), 9e99)",
     sequence="f.sequence",
     recipe=False,
 )

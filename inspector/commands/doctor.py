@@ -25,6 +25,7 @@ from firmware_bridge.errors import BridgeError, NoTrigger
 from firmware_bridge.links.ports import open_serial
 from inspector import calibration_file, yaml_document
 from inspector.acquire.fresh import FreshFrames
+from inspector.archive.archive_settings import ArchiveSettings
 from inspector.clock import synchronised
 from inspector.publish.plc_server import PlcServer, PlcServerError
 from inspector.service import permissions
@@ -99,6 +100,8 @@ def examine(config: Path, build: Build = factory.build) -> Iterator[Finding]:
         yield from _devices(settings, build(settings.camera, settings.module, settings.lamp))
         yield _plc_port(settings)
         yield from _plc_serial(settings)
+        if settings.archive is not None:
+            yield _archive(settings.archive)
     yield _disk(config.absolute().parent)
     yield _clock(time.time())
 
@@ -232,6 +235,20 @@ def _plc_serial(settings: Settings) -> Iterator[Finding]:
     if line is not None:
         opened = partial(open_serial, "PLC", line.port, baud=line.baud, parity=line.parity, stop_bits=line.stop_bits)
         yield _tried("PLC line", f"open {line.port}", lambda: opened().close(), lambda _: f"it opens, {line.baud} baud")
+
+
+def _archive(archive: ArchiveSettings) -> Finding:
+    """Whether results and frames can be kept. Nothing is made there: it would be this user's, not the service's."""
+    tried, least_mb = f"look at {archive.folder} (archive.folder)", archive.frames.min_free_mb
+    there = next(path for path in (archive.folder.absolute(), *archive.folder.absolute().parents) if path.exists())
+    if not (there.is_dir() and os.access(there, os.W_OK | os.X_OK)):
+        remedy = f"name another folder, or let this user (uid {os.getuid()}) write there"
+        return Finding("archive", State.FAILED, tried, f"{there} is no folder that can be written", remedy)
+    free_mb = shutil.disk_usage(there).free / 1e6
+    if free_mb < least_mb:
+        found = f"{free_mb:.0f} MB free, no frames are kept with less than {least_mb:g} MB (archive.frames.min_free_mb)"
+        return Finding("archive", State.WARNING, tried, found, "make room")
+    return Finding("archive", State.OK, tried, f"can be written, {free_mb / 1e3:.1f} GB free")
 
 
 def _disk(folder: Path) -> Finding:

@@ -19,6 +19,8 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 from typer.testing import CliRunner
 
+from inspector.archive import entries
+from inspector.archive.store import Run, Store
 from inspector.archive_reading import queries
 from inspector.archive_reading.columns import TABLES, Column
 from inspector.archive_reading.selection import Selection, iso, shift
@@ -194,3 +196,15 @@ def test_a_shift_is_of_the_clock_on_the_wall_and_may_end_on_the_next_day() -> No
     assert early.ends_s == datetime(2026, 11, 26, 14).timestamp()
     assert (late.begins_s, late.ends_s) == tuple(datetime(2026, 11, *at).timestamp() for at in ((26, 22), (27, 6)))
     assert iso(0.25) == "1970-01-01T00:00:00.250000Z"
+
+
+def test_a_fault_lasts_no_longer_than_its_run_though_that_was_killed(tmp_path: Path) -> None:
+    for started_s in (1000.0, 2000.0):
+        store = Store(tmp_path, Run(started_s, "0.1.0", "line 2"))
+        store.write([entries.fault(started_s + 1, 301, 7)])
+        store.close()
+    begins = "1970-01-01T00:40:00Z"
+    words = ["export", str(tmp_path), "--what", "faults", "--from", begins, "--output", str(tmp_path / "faults.jsonl")]
+    assert CliRunner().invoke(app, words).exit_code == 0
+    rows = [json.loads(line) for line in (tmp_path / "faults.jsonl").read_text().splitlines()]
+    assert [row["began"] for row in rows] == ["1970-01-01T00:33:21.000000Z"]

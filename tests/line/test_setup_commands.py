@@ -138,6 +138,22 @@ def test_an_old_calibration_a_full_disk_and_a_clock_never_set(
     assert "never set" in seen["clock"].found
 
 
+def test_an_archive_that_cannot_be_written_or_has_no_room(station: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "archive" not in found(station.file)
+    station.settings["archive"] = {"folder": "kept/here", "frames": {"min_free_mb": 0}}
+    station.write()
+    assert found(station.file)["archive"].state is State.OK
+    assert not (station.folder / "kept").exists()
+    monkeypatch.setattr(doctor.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 10**6))
+    station.settings["archive"]["frames"]["min_free_mb"] = 2
+    station.write()
+    assert found(station.file)["archive"].state is State.WARNING
+    (station.folder / "kept").write_text("no folder")
+    seen = found(station.file)["archive"]
+    assert seen.state is State.FAILED
+    assert str(os.getuid()) in seen.remedy
+
+
 def test_a_port_without_permission_names_the_user(station: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     station.serial.touch()
     monkeypatch.setattr(doctor.os, "access", lambda *_: False)

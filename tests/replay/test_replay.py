@@ -253,6 +253,17 @@ def test_an_interrupted_run_ends_as_one_that_was_not(spoilt: Path, tmp_path_fact
     assert not state.exists()
 
 
+def test_a_session_is_replayed_by_its_name_alone(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(recorded)
+    for name in ("one", "."):
+        status, said = as_json(name)
+        assert (status, said["frames"], said["differences"]) == (
+            0,
+            {"one": FRAMES - panel_frames.FRAMES}.get(name, FRAMES),
+            [],
+        )
+
+
 def test_the_state_of_another_replay_is_not_used(recorded: Path, tmp_path: Path) -> None:
     state = tmp_path / "state"
     for content in ("nonsense\n", json.dumps({"replay": 1, "of": "another", "plan": {}}) + "\n"):
