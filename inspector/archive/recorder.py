@@ -33,6 +33,8 @@ FRAMES, LAST = "frames", "last"
 """Folders of the two shelves."""
 SESSION_FRAMES, SESSION_S = 200, 3600.0
 """A session of the first shelf ends after so many frames or seconds: it is what is deleted at once."""
+SESSIONS_AT_LEAST = 8
+"""A session is ended when it takes one part of so many of what all may: 200 large frames are much to delete at once."""
 RING_PARTS = 4
 """The last frames are in so many sessions, and one more is being written."""
 QUEUE_BYTES = 48_000_000
@@ -98,7 +100,7 @@ class Recorder:
         self._shelves = {name: Shelf(folder / name) for name in (FRAMES, LAST)}
         self._sessions = {FRAMES: _Rotating(SESSION_FRAMES, SESSION_S), LAST: _Rotating(0, float("inf"))}
         self._passed = 0
-        self._changed = threading.Condition()
+        self._changed, self._tidying = threading.Condition(), threading.Lock()
         self._jobs: deque[_Job] = deque()
         self._bytes = self._left_out = 0
         self._stopping = False
@@ -140,14 +142,18 @@ class Recorder:
 
     def make_room(self) -> None:
         """Delete the oldest sessions, of whichever shelf, until the disk has room again. In any thread."""
-        if not self._ours():
-            return
-        with suppress(OSError):
+        if not self._ours() or not self._tidying.acquire(blocking=False):
+            return  # whoever does it already does it for both
+        try:
             for name in (FRAMES, LAST):
                 self._tidy(name)
             if self._free_bytes() < self._least_free_bytes:
                 for session in self._sessions.values():
                     session.end()
+        except OSError:
+            pass  # the next try to write says it
+        finally:
+            self._tidying.release()
 
     def close(self, timeout_s: float) -> int:
         """Write what waits, if that can be done in the time; how many frames are left out."""
@@ -252,14 +258,23 @@ class Recorder:
     def _least_free_bytes(self) -> float:
         return max(self.settings.min_free_mb, LEAST_FREE_MB) * retention.BYTES_PER_MB
 
+    def _busy(self, name: str) -> set[str]:
+        """The sessions that are written into: the one that frames are planned for, and one that those before are of."""
+        planned, writer = self._sessions[name].name, self._writers.get(name)
+        return {session for session in (planned, writer and writer.folder.name) if session}
+
     def _tidy(self, name: str) -> None:
         """Delete what is to go from a shelf by age, number, size and free space. Raises OSError."""
-        shelf, at_work, now_s = self._shelves[name], self._sessions[name].name, time.time()
+        shelf, busy, now_s = self._shelves[name], self._busy(name), time.time()
         if name == LAST:
-            for session in retention.past_the_last(shelf.held(at_work, now_s), self.settings.last):
+            for session in retention.past_the_last(shelf.held(busy, now_s), self.settings.last):
                 shelf.delete(session)
-        limits = retention.Limits(self.settings.days, self.settings.most_mb, self._least_free_bytes)
-        for session in retention.overdue(shelf.held(at_work, now_s), limits, now_s, self._free_bytes()):
+        most_bytes, writing_bytes = self.settings.most_mb * retention.BYTES_PER_MB, sum(map(shelf.size_bytes, busy))
+        if writing_bytes > most_bytes / SESSIONS_AT_LEAST:
+            self._sessions[name].end()
+        left_mb = (most_bytes - writing_bytes) / retention.BYTES_PER_MB
+        limits = retention.Limits(self.settings.days, left_mb, self._least_free_bytes)
+        for session in retention.overdue(shelf.held(busy, now_s), limits, now_s, self._free_bytes()):
             log.info("frames of session %s/%s are deleted: their time or their space is over", name, session)
             shelf.delete(session)
 

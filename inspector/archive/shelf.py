@@ -6,6 +6,7 @@ import logging
 import re
 import shutil
 import time
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 
@@ -39,16 +40,21 @@ class Shelf:
         except FileNotFoundError:
             return []
 
-    def held(self, at_work: str | None, now_s: float) -> list[Held]:
-        """The sessions but the one that is being written, the oldest first. Raises OSError.
+    def held(self, busy: Collection[str], now_s: float) -> list[Held]:
+        """The sessions but those that are being written, the oldest first. Raises OSError.
 
         One from the future was written before the clock was set back: it is older than all others.
         """
         now = time.strftime(STAMP, time.gmtime(now_s))
-        gone = {at_work, *self._stuck}
+        gone = {*busy, *self._stuck}
         names = sorted((n for n in self.sessions() if n not in gone), key=lambda n: (n[: len(now)] <= now, n))
         self._known = {name: self._known.get(name) or _measured(self.folder / name) for name in names}
         return list(self._known.values())
+
+    def size_bytes(self, name: str) -> int:
+        """What a session that is being written takes as yet. Raises OSError."""
+        folder = self.folder / name
+        return _measured(folder).size_bytes if folder.is_dir() else 0
 
     def delete(self, name: str) -> None:
         """Take a session away; one that cannot be is left alone from then on, and others go in its place."""

@@ -203,8 +203,8 @@ def test_sessions_from_before_the_clock_was_set_back_are_the_oldest(tmp_path: Pa
     for name in names.values():
         (tmp_path / name).mkdir()
     shelf = Shelf(tmp_path)
-    assert [h.name for h in shelf.held(None, 250.0)] == [names[what] for what in ("before", "after", "later")]
-    assert [h.name for h in shelf.held(None, 9999.0)] == sorted(names.values())
+    assert [h.name for h in shelf.held((), 250.0)] == [names[what] for what in ("before", "after", "later")]
+    assert [h.name for h in shelf.held((), 9999.0)] == sorted(names.values())
 
 
 def test_what_is_somebody_elses_or_stuck_stays_and_the_rest_goes(
@@ -260,6 +260,22 @@ def test_the_oldest_sessions_go_when_they_take_too_much(recorder: Any, tmp_path:
     one.make_room()
     found = numbers(tmp_path / FRAMES)
     assert found == list(range(found[0], 40))
-    sizes = sum(held.size_bytes for held in Shelf(tmp_path / FRAMES).held(None, time.time())[:-1])
+    sizes = sum(held.size_bytes for held in Shelf(tmp_path / FRAMES).held((), time.time())[:-1])
     assert sizes <= 0.05e6
     assert Kept.FAILING.value == "failing"
+
+
+def test_a_session_that_is_being_written_counts_and_ends_when_it_grows(
+    recorder: Any, tmp_path: Path, wait_until: Any
+) -> None:
+    one = recorder(most_mb=0.1, last=0)
+    for number in range(30):
+        put(one, number, passed=False)
+        wait_until(lambda: not one.waiting_bytes, "the frame on the disk")
+        one.make_room()
+    one.close(20)
+    one.make_room()
+    taken = sum(file.stat().st_blocks * 512 for file in (tmp_path / FRAMES).glob("*/*"))
+    assert 0 < taken <= 0.1e6
+    found = numbers(tmp_path / FRAMES)
+    assert found == list(range(found[0], 30))
