@@ -383,6 +383,7 @@ class Daemon:
         """The last good settings are in force again, since the new ones did not bring the station to Ready."""
         try:
             self._adopt(self._trial.go_back())
+            self._ledger.acted("settings", "last good again", f"{self._snapshot.configuration_hash:08x}")
         except (SettingsError, PlcServerError, calibration_file.CalibrationError, OSError) as error:
             log.error("the last good settings cannot be used either: %s", error)
         self._refuse()

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import shutil
 import signal
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_bridge.simulators.module_server import ModuleServer
+from inspector.archive.store import FILE
 from inspector.faults import Fault
 from inspector.model import Snapshot, State
 from inspector.publish.registers import Status
@@ -167,6 +170,7 @@ def test_over_the_wire_settings_that_fail_are_taken_back_and_a_restart_keeps_the
     (tmp_path / "state").mkdir()
     state = {"STATE_DIRECTORY": str(tmp_path / "state")}
     station.settings["cycle"]["rollback_after_s"] = 1
+    station.settings["archive"] = {"folder": "archive", "frames": {"min_free_mb": 0}}
     station.write()
     running = service(**state)
     before = running.until_inspecting()
@@ -181,6 +185,10 @@ def test_over_the_wire_settings_that_fail_are_taken_back_and_a_restart_keeps_the
     assert any("the last good ones are in force again" in line for line in running.log)
     running.send(signal.SIGKILL)
     running.ended()
+    with closing(sqlite3.connect(station.folder / "archive" / FILE)) as store:
+        done = store.execute("SELECT what, detail FROM action WHERE who = 'settings' ORDER BY at_s").fetchall()
+    assert [what for what, _ in done] == ["taken over", "last good again", "refused"]
+    assert done[1][1] == f"{before['configuration_hash']:08x}"
     again = service(**state)
     shown = again.until_inspecting()
     assert refused(shown)
