@@ -71,7 +71,7 @@ def session(folder: Path, name: str, frames: int) -> None:
             index.write(line(Recorded(f"{n:06d}.png", n, 1.7e9 + n, 1e3, 1e3, 4.0, 4.0, said | {"sequence": n + 1})))
 
 
-def decoded(files: list[Path]) -> int:
+def decoded(files: list[Path], _careful: bool) -> int:
     """How many of these files OpenCV decodes."""
     return sum(cv2.imdecode(np.frombuffer(p.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED) is not None for p in files)
 

@@ -105,9 +105,11 @@ _comparing: tuple[Change, Comparing] | None = None
 """Of this process: what it has made of a version of the settings serves the next part too."""
 
 
-def examine(part: Part, change: Change, every_seed: bool) -> Tally:
-    """A part of the sessions inspected again and compared, in whatever process."""
+def examine(part: Part, careful: bool, change: Change, every_seed: bool) -> Tally:
+    """A part of the sessions inspected again and compared, in whatever process; ``careful`` where one died at it."""
     global _comparing
+    if careful:
+        return tally(Comparing(change, careful).all(part), every_seed)
     if _comparing is None or _comparing[0] != change:
         _comparing = change, Comparing(change)
     return tally(_comparing[1].all(part), every_seed)

@@ -5,9 +5,10 @@ What cannot be compared says why; one frame that is missing or trips the program
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,9 +17,14 @@ from inspector import imagefile, sessions
 from inspector.archive import result_json
 from inspector.model import Defect, FrameResult, PanelFrame, PanelResult
 from inspector.reinspection import Change, Reinspection
+from inspector.replay.apart import apart
 from inspector.sessions import RecordedFrame, Spoilt, Stretch
 from inspector.settings_version import SettingsVersion, VersionWrong
 
+Made = TypeVar("Made")
+
+WITHIN_S = 60.0
+"""A frame or panel takes a second at most."""
 SAME_SPOT_PX = 3.0
 """Two results of one image mean the same seed where both its spots are within this of each other, pixels."""
 PANEL_INCOMPLETE = "its panel cannot be judged again: not all of its frames are here, or not all can be inspected"
@@ -55,10 +61,13 @@ class Compared:
 
 
 class Comparing:
-    """Inspects recorded frames again, by their own settings with a change; what that takes is made once."""
+    """Inspects recorded frames again, by their own settings with a change; what that takes is made once.
 
-    def __init__(self, change: Change) -> None:
-        self._change = change
+    ``careful``: each frame and panel in a process of its own, so that one that crashes it is told by name.
+    """
+
+    def __init__(self, change: Change, careful: bool = False) -> None:
+        self._change, self._careful = change, careful
         self._made: dict[int, tuple[SettingsVersion, Reinspection]] = {}
         self._latest: tuple[tuple[Path, str], Reinspection] | None = None
 
@@ -88,11 +97,21 @@ class Comparing:
             return Compared(item, why=item.why)
         try:
             again = self._again(item)
-            return Compared(item, again.frame(imagefile.read(item.image), item.recorded.file))
+            now = self._done(lambda: again.frame(imagefile.read(item.image), item.recorded.file))
+            return Compared(item, replace(now, highlights=None))  # no part of what is compared, and most of its size
         except (VersionWrong, imagefile.FrameUnreadable) as error:
             return Compared(item, why=str(error))
         except Exception as error:
             return Compared(item, why=_program(error))
+
+    def _done(self, work: Callable[[], Made]) -> Made:
+        """What ``work`` makes, or raises."""
+        if not self._careful:
+            return work()
+        made = apart(lambda: _tried(work), WITHIN_S)
+        if isinstance(made, Exception):
+            raise made
+        return made
 
     def _again(self, frame: RecordedFrame) -> Reinspection:
         """What inspects this frame. Raises VersionWrong."""
@@ -124,9 +143,17 @@ class Comparing:
         try:
             again = self._again(last.item)
             # Its own number, which may be None, where the line has the one that the PLC was shown.
-            return replace(last, panel=again.panel(frames, then.panel_id, inspected.missing))
+            panel = self._done(lambda: again.panel(frames, then.panel_id, inspected.missing))
+            return replace(last, panel=panel)
         except Exception as error:
             return replace(last, panel_why=_program(error))
+
+
+def _tried(work: Callable[[], Made]) -> Made | Exception:
+    try:
+        return work()
+    except Exception as error:
+        return error
 
 
 def _program(error: Exception) -> str:

@@ -11,6 +11,7 @@ import shutil
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,22 +20,25 @@ from firmware_bridge import whole_file
 from inspector.change_options import Asked, Unusable, change_of
 from inspector.reinspection import Change
 from inspector.replay import workers
+from inspector.replay.apart import Died, apart
 from inspector.replay.command import AS_IT_WAS, NOTHING_DONE, SOME_NOT
 from inspector.replay.comparison import Comparing
 from inspector.replay.plan import Part, Plan
-from inspector.replay.state import program
+from inspector.replay.state import program, program_release
 from inspector.replay.tables import COUNTS, Written, written
 from inspector.replay.workers import WorkersDied
 
 PARTITION_BYTES = 4 << 20
 """An index is shared out in partitions of this size: some three thousand frames, ten seconds' work."""
+PARTITION_WITHIN_S = 3600.0
 VERSION = 1
 NO_EXTRA = "reinspect needs pyarrow, and dask on a cluster: pip install 'seed-inspector[cluster]'"
 WORKERS_WITHIN_S = 60
 RETRIES = 3
 
 Task = tuple[int, Part]
-Sharing = Callable[[Callable[[Part], Written], Sequence[Task]], Iterator[tuple[int, Written]]]
+Work = Callable[[Part, bool], Written]
+Sharing = Callable[[Work, Sequence[Task]], Iterator[tuple[int, Written]]]
 
 
 def run(
@@ -81,15 +85,21 @@ def _told(counted: Counter[str], output: Path) -> str:
     return "\n".join([*lines, f"{counted['not_compared']} not compared; all in {output}"])
 
 
-def examine(part: Part, change: Change, root: str) -> Written:
-    """The tables of one partition, in whatever process of whatever machine."""
+def examine(part: Part, careful: bool, change: Change, root: str) -> Written:
+    """The tables of one partition, in whatever process of whatever machine; ``careful`` where one died at it.
+
+    It is inspected in a process of its own, so that a frame that crashes it costs no worker; then frame by frame.
+    """
     import cv2
 
     cv2.setNumThreads(1)
-    return written(Comparing(change).all(part), root)
+    if not careful:
+        with suppress(Died):
+            return written(apart(lambda: list(Comparing(change).all(part)), PARTITION_WITHIN_S), root)
+    return written(Comparing(change, careful=True).all(part), root)
 
 
-def _make(folder: _Folder, work: Callable[[Part], Written], sharing: Sharing) -> None:
+def _make(folder: _Folder, work: Work, sharing: Sharing) -> None:
     """Make the partitions that are not there yet. Raises what the sharing raises, OSError."""
     parts = list(enumerate(folder.plan.parts()))
     missing = [(number, part) for number, part in parts if not folder.has(number)]
@@ -99,13 +109,11 @@ def _make(folder: _Folder, work: Callable[[Part], Written], sharing: Sharing) ->
             advance(1)
 
 
-def _here(jobs: int, work: Callable[[Part], Written], tasks: Sequence[Task]) -> Iterator[tuple[int, Written]]:
+def _here(jobs: int, work: Work, tasks: Sequence[Task]) -> Iterator[tuple[int, Written]]:
     return workers.share(work, tasks, jobs)
 
 
-def _on_cluster(
-    scheduler: str, work: Callable[[Part], Written], tasks: Sequence[Task]
-) -> Iterator[tuple[int, Written]]:
+def _on_cluster(scheduler: str, work: Work, tasks: Sequence[Task]) -> Iterator[tuple[int, Written]]:
     """What the cluster's workers make of the tasks; what a worker that dies was at is done by another. A task at which
     workers die again and again is left, and told at the end: WorkersDied. Raises Unusable, OSError."""
     from distributed import Client, KilledWorker, as_completed
@@ -117,7 +125,8 @@ def _on_cluster(
             client.wait_for_workers(1, timeout=WORKERS_WITHIN_S)
         except TimeoutError as error:
             raise Unusable(f"{scheduler} has no workers: start some, dask worker {scheduler}") from error
-        futures = {client.submit(work, part, pure=False, retries=RETRIES): number for number, part in tasks}
+        _refuse_others(client.run(program_release, on_error="return"))
+        futures = {client.submit(work, part, False, pure=False, retries=RETRIES): number for number, part in tasks}
         done: Any = as_completed
         for future in done(list(futures), loop=client.loop):
             number = futures.pop(future)
@@ -128,6 +137,18 @@ def _on_cluster(
             future.release()
     if killed:
         raise WorkersDied(f"workers died at partitions {killed}, which are not written; run it again to try these")
+
+
+def _refuse_others(told: dict[str, object]) -> None:
+    """Raise Unusable where a worker, by its address, told of another release of this program than ours, or of none."""
+    ours = program_release()
+    others = [f"{worker} has {_release_told(said)}" for worker, said in sorted(told.items()) if said != ours]
+    if others:
+        raise Unusable(f"workers must have this program's release, {ours}: {'; '.join(others)}: install it there")
+
+
+def _release_told(said: object) -> str:
+    return said if isinstance(said, str) else f"none that can be asked ({type(said).__name__}: {said})"
 
 
 class _Folder:

@@ -19,9 +19,14 @@ class OfAnother(Exception):
     """The file is of another replay, or no state of one; the message says what to do."""
 
 
+def program_release() -> str:
+    """The release of this program, as the machine it is asked on has it."""
+    return release("seed-inspector")
+
+
 def program(paths: Sequence[Path], *of: object) -> str:
     """Tells runs apart: by this program's release, what is read, and whatever else decides what comes out."""
-    told = [release("seed-inspector"), [str(path.resolve()) for path in paths], *of]
+    told = [program_release(), [str(path.resolve()) for path in paths], *of]
     return hashlib.sha256(repr(told).encode()).hexdigest()
 
 

@@ -1,4 +1,5 @@
-"""Work shared among this machine's cores, each a process; a process that dies costs what it was at, done once more."""
+"""Work shared among this machine's cores, each a process; a process that dies costs what it was at, done once
+more."""
 
 from __future__ import annotations
 
@@ -7,10 +8,13 @@ import multiprocessing
 import os
 import signal
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
+from functools import partial
+from itertools import islice
 from multiprocessing.connection import Connection
 from typing import TypeVar
 
@@ -18,7 +22,7 @@ Task = TypeVar("Task")
 Made = TypeVar("Made")
 
 TRIES = 3
-"""So often in a row may all of the work be lost with a process before it is given up."""
+"""So often may all that is under way have been so when a process died, before the work is given up."""
 
 
 MALLOC_TRIM_THRESHOLD, MALLOC_MMAP_THRESHOLD = -1, -3
@@ -36,31 +40,34 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def share(work: Callable[[Task], Made], tasks: Sequence[tuple[int, Task]], jobs: int) -> Iterator[tuple[int, Made]]:
+def share(
+    work: Callable[[Task, bool], Made], tasks: Sequence[tuple[int, Task]], jobs: int
+) -> Iterator[tuple[int, Made]]:
     """What ``work`` makes of each numbered task, as soon as it is there, in any order. ``work`` must be picklable.
 
-    Raises WorkersDied, and what ``work`` raises.
+    It is told, by its second argument, whether a process died that may have been at the task: what killed it is then to
+    be kept from doing so again. One job is done in this process. Raises WorkersDied, and what ``work`` raises.
     """
-    if jobs == 1 or len(tasks) < 2:
+    if jobs == 1:
         _begin()
         for number, task in tasks:
-            yield number, work(task)
+            yield number, work(task, False)
         return
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([getattr(work, "func", work).__module__])
     alive, _ours = context.Pipe(duplex=False)  # closed with this process, however it ends
-    left, tries = dict(tasks), 0
+    left, deaths = dict(tasks), Counter[int]()
     while left:
-        before = len(left)
+        under_way: dict[Future[Made], int] = {}
         with ProcessPoolExecutor(min(jobs, len(left)), context, _begin_process, (alive,)) as pool:
-            futures = {pool.submit(work, task): number for number, task in left.items()}
+            calls = ((number, partial(work, task, deaths[number] > 0)) for number, task in list(left.items()))
             try:
-                for number, made in _done(futures):
+                for number, made in _made(pool, calls, jobs + 1, under_way):
                     del left[number]
                     yield number, made
             except BrokenProcessPool as error:
-                tries = tries + 1 if len(left) == before else 0
-                if tries == TRIES:
+                deaths.update(under_way.values())
+                if min(deaths[number] for number in under_way.values()) >= TRIES:
                     raise WorkersDied(DIED) from error
             finally:
                 pool.shutdown(wait=False, cancel_futures=True)
@@ -69,9 +76,21 @@ def share(work: Callable[[Task], Made], tasks: Sequence[tuple[int, Task]], jobs:
 DIED = "processes die at their work: see the kernel's log for out of memory, try fewer (--jobs)"
 
 
-def _done(futures: dict[Future[Made], int]) -> Iterator[tuple[int, Made]]:
-    for future in as_completed(futures):
-        yield futures.pop(future), future.result()
+def _made(
+    pool: ProcessPoolExecutor,
+    calls: Iterator[tuple[int, Callable[[], Made]]],
+    most: int,
+    under_way: dict[Future[Made], int],
+) -> Iterator[tuple[int, Made]]:
+    """What the numbered calls make; no more than ``most`` are ``under_way``: a process can have died at these only."""
+    while True:
+        for number, call in islice(calls, most - len(under_way)):
+            under_way[pool.submit(call)] = number
+        if not under_way:
+            return
+        for future in wait(under_way, return_when=FIRST_COMPLETED).done:
+            made = future.result()
+            yield under_way.pop(future), made
 
 
 def _begin_process(alive: Connection) -> None:

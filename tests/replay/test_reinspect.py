@@ -21,9 +21,9 @@ from pyarrow import parquet
 from typer.testing import CliRunner
 
 from firmware_bridge.wire import session
-from inspector.change_options import Asked
+from inspector.change_options import Asked, Unusable
 from inspector.cli.app import app
-from inspector.replay import reinspect
+from inspector.replay import reinspect, state
 from inspector.replay import tables as table_columns
 from inspector.replay.tables import Written
 
@@ -99,7 +99,7 @@ class Interrupted(Exception):
     """As by Ctrl-C."""
 
 
-@pytest.mark.parametrize("after", [0, 2, 5])
+@pytest.mark.parametrize("after", [0, 5])
 def test_an_interrupted_run_goes_on_where_it_was(
     archive: Path, alone: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: int
 ) -> None:
@@ -154,25 +154,34 @@ class Cluster:
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory, wait_until: Callable[..., Any]) -> Iterator[Cluster]:
-    folder = tmp_path_factory.mktemp("cluster")
-    file = folder / "scheduler.json"
+    from distributed import LocalCluster
 
-    def dask(*words: str) -> subprocess.Popen[bytes]:
-        command = [str(Path(sys.executable).with_name("dask")), *words, "--host", "127.0.0.1", "--no-dashboard"]
-        log = (folder / f"{words[0]}.log").open("ab")
-        process = subprocess.Popen(command, stdout=log, stderr=log, cwd=folder, env=os.environ | {"PYTHONPATH": ""})
-        log.close()
-        stack.callback(process.wait)
-        stack.callback(process.kill)
-        return process
-
+    folder, program = tmp_path_factory.mktemp("cluster"), Path(sys.executable).with_name("dask")
+    crashing = Path(recorded_sessions.__file__).parent / "crashing"
+    scheduling: Any = LocalCluster
     with ExitStack() as stack:
-        dask("scheduler", "--port", "0", "--scheduler-file", str(file))
-        workers = [
-            dask("worker", "--scheduler-file", str(file), "--no-nanny", "--nthreads", "1") for _ in range(2)
-        ]  # they wait for the scheduler's file
-        wait_until(lambda: file.exists() and file.read_text().strip().endswith("}"), "a scheduler", 60)
-        yield Cluster(json.loads(file.read_text())["address"], workers)
+        scheduler = stack.enter_context(
+            scheduling(n_workers=0, host="127.0.0.1", scheduler_port=0, dashboard_address=None)
+        )
+        command = [
+            program,
+            "worker",
+            scheduler.scheduler_address,
+            "--host",
+            "127.0.0.1",
+            "--no-nanny",
+            "--no-dashboard",
+        ]
+        workers = []
+        for _ in range(2):
+            log = stack.enter_context((folder / "worker.log").open("ab"))
+            env = os.environ | {"PYTHONPATH": str(crashing)}
+            worker = subprocess.Popen([*command, "--nthreads", "1"], stdout=log, stderr=log, cwd=folder, env=env)
+            stack.callback(worker.wait)
+            stack.callback(worker.kill)
+            workers.append(worker)
+        wait_until(lambda: len(scheduler.scheduler_info["workers"]) == 2, "two workers", 60)
+        yield Cluster(scheduler.scheduler_address, workers)
 
 
 def test_all_cores_and_a_cluster_make_the_same_tables(
@@ -182,6 +191,31 @@ def test_all_cores_and_a_cluster_make_the_same_tables(
     assert tables(tmp_path / "two") == alone
     assert made(tmp_path / "cluster", archive, scheduler=cluster.address) == 1
     assert tables(tmp_path / "cluster") == alone
+
+
+def test_a_frame_that_crashes_its_process_costs_no_worker_and_is_told_by_name(
+    archive: Path, cluster: Cluster, tmp_path: Path
+) -> None:
+    shutil.copytree(archive / "frames" / "a", tmp_path / "crashes")
+    assert made(tmp_path / "out.parquet", tmp_path / "crashes", scheduler=cluster.address, part_bytes=1 << 20) == 1
+    frames = parquet.read_table(tmp_path / "out.parquet").to_pylist()
+    assert len(frames) == len(recorded_sessions.FRAMES)
+    assert [(row["file"], "SIGSEGV" in row["problem"]) for row in frames if row["problem"]] == [("000002.png", True)]
+    assert [worker.poll() for worker in cluster.workers] == [None, None]
+
+
+def test_workers_of_another_release_are_refused(
+    archive: Path, cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    theirs = state.program_release()
+    monkeypatch.setattr(state, "release", lambda _: "0.0.1")
+    assert made(tmp_path / "out", archive, scheduler=cluster.address) == 2
+    said = capsys.readouterr().err
+    assert said.count(f"has {theirs}") == 2
+    assert "release, 0.0.1" in said
+    assert tables(tmp_path / "out") == {}
+    with pytest.raises(Unusable, match="tcp://a has none that can be asked"):
+        reinspect._refuse_others({"tcp://a": AttributeError("program_release"), "tcp://b": "0.0.1"})
 
 
 def test_a_worker_that_is_killed_costs_what_it_was_at(

@@ -276,7 +276,25 @@ def test_the_state_of_another_replay_is_not_used(recorded: Path, tmp_path: Path)
 
 def test_a_killed_process_costs_what_it_was_at_once_more(tmp_path: Path) -> None:
     tasks = [(n, tmp_path / str(n)) for n in range(4)]
-    assert dict(workers.share(recorded_sessions.dies_once, tasks, 2)) == {n: 1 for n, _ in tasks}
+    assert dict(workers.share(recorded_sessions.dies_once, tasks, 2)) == {n: 2 for n, _ in tasks}
+
+
+def test_a_frame_that_crashes_its_process_is_told_by_name(recorded: Path, tmp_path: Path) -> None:
+    for name in ("before", "crashes"):
+        shutil.copytree(recorded / "one", tmp_path / name)
+    program, crashing = (
+        Path(sys.executable).with_name("inspector"),
+        Path(recorded_sessions.__file__).parent / "crashing",
+    )
+    command = [program, "replay", tmp_path, "--jobs", "2", "--format", "json"]
+    env = os.environ | {"PYTHONPATH": str(crashing)}
+    done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 1, done.stderr
+    said = json.loads(done.stdout)
+    assert said["frames"] == said["frames_same"] == 2 * len(recorded_sessions.FRAMES) - 1
+    (told,) = said["not_compared"]
+    assert told["where"] == str(tmp_path / "crashes" / "000002.png")
+    assert "SIGSEGV" in told["why"]
 
 
 def test_processes_that_die_each_time_are_given_up(tmp_path: Path) -> None:

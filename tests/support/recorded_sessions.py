@@ -78,22 +78,22 @@ class Recording:
         self._writer.keep([(image, taken)])
 
 
-def dies_once(marker: Path) -> int:
-    """The first process that is at this is killed."""
+def dies_once(marker: Path, careful: bool) -> int:
+    """The first process that is at this is killed; 2 where another is told of that, 1 where not."""
     try:
         marker.touch(exist_ok=False)
     except FileExistsError:
-        return 1
+        return 1 + careful
     os.kill(os.getpid(), signal.SIGKILL)
     return 0
 
 
-def dies(_: Path) -> int:
+def dies(_: Path, _careful: bool) -> int:
     os.kill(os.getpid(), signal.SIGKILL)
     return 0
 
 
-def stays(folder: Path) -> None:
+def stays(folder: Path, _careful: bool) -> None:
     """Says in the folder which process is at this, and never ends."""
     (folder / f"{os.getpid()}.pid").touch()
     threading.Event().wait()
