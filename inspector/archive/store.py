@@ -26,6 +26,8 @@ BUSY_S = 2.0
 """Whoever else writes into the file is waited for so long."""
 CHECKPOINT_BYTES = 4_000_000
 """The log beside the file is worked into it when it is larger, and begun anew, unless somebody reads all the time."""
+CACHE_KIB = 256
+"""Rows are added at the end, which needs few pages in memory; SQLite's own 2 MB would fill over days."""
 _BESIDE = ("", "-wal", "-shm")
 _ONCE = frozenset({"settings_version", "recipe_version"})
 """Tables whose rows stay as they were written first."""
@@ -193,9 +195,9 @@ def _opened(path: Path, steps: Sequence[str]) -> sqlite3.Connection:
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute("PRAGMA wal_autocheckpoint = 0")
-        connection.execute(
-            f"PRAGMA journal_size_limit = {CHECKPOINT_BYTES}"
-        )  # else its size tells nothing from then on
+        connection.execute(f"PRAGMA cache_size = -{CACHE_KIB}")
+        # The log's size would tell nothing from then on if it stayed as large as it ever was.
+        connection.execute(f"PRAGMA journal_size_limit = {CHECKPOINT_BYTES}")
         complaint = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
         if complaint != "ok":
             raise StoreDamaged(f"{path} fails its integrity check: {complaint}")
