@@ -3,7 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PYTEST_ARGS ?=
-WORKERS ?= auto
+# One more than there are processors: many tests wait for a device or a process.
+WORKERS ?= $(shell expr $$(nproc) + 1)
 
 .PHONY: help setup demo test soak lint check docs manual lock dist deb audit clean
 
