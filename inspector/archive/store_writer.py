@@ -52,6 +52,7 @@ class StoreWriter:
         self._changed = threading.Condition()
         self._waiting: deque[Entry] = deque()
         self._put = self._written = self._lost = self._rows = 0
+        self._refused: deque[int] = deque(maxlen=MOST_AT_ONCE)
         self._standing: dict[str, Entry] = {}
         self._since_s: float | None = None
         self._set_aside: Path | None = None
@@ -112,13 +113,13 @@ class StoreWriter:
         return self._put + 1
 
     def has(self, number: int) -> bool:
-        """Whether the entry of this number, and with it all before, is on the disk."""
-        return self._written >= number
+        """Whether the entry of this number is on the disk, and with it all before that the store did not refuse."""
+        return self._written >= number and number not in self._refused
 
     def wait(self, number: int, timeout_s: float) -> bool:
-        """Whether the entry of this number, and with it all before, is on the disk within the time."""
+        """Whether that is so within the time."""
         with self._changed:
-            return self._changed.wait_for(lambda: self.has(number), timeout_s)
+            return self._changed.wait_for(lambda: self._written >= number, timeout_s) and self.has(number)
 
     def watch(self) -> None:
         """Tell the log, in whoever's thread this is, if the store hangs: its own thread then does, too."""
@@ -219,11 +220,12 @@ class StoreWriter:
 
     def _write_one_by_one(self, store: Store, batch: list[Entry]) -> None:
         """An entry that no store takes must not keep the others from it."""
-        for entry in batch:
+        for number, entry in enumerate(batch, self._written + 1):
             try:
                 store.write([entry])
             except EntryRefused as error:
                 self._lost += 1
+                self._refused.append(number)
                 log.error(
                     "fault %d: %s: the store refuses %s (%s)", Fault.INTERNAL, Fault.INTERNAL.meaning, entry, error
                 )
