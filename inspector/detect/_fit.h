@@ -16,8 +16,10 @@ struct Rules {      /* how grey values become light, what is clipped, and when a
 };
 
 /* The spots' windows: offsets (p) in order of distance, of which spot i takes the first `count[i]`, and from `begin[i]` on
- * their light, weight, what the model left over, and the least that this may be (0 if clipped, else anything); `normal` (n, 9, 9) and `gradient` (n, 9);
- * `known` (n), the variance of what a spot tells of the frame's blur, infinite for one that must not tell; and the spots whose light reaches window i, from `neighbours[i]` to `neighbours[i + 1]` in the list `neighbour`. */
+ * their light, weight, what the model left over, and the least that this may be (0 if clipped, else anything); `normal`
+ * (n, 9, 9) and `gradient` (n, 9); `known` (n), the variance of what a spot tells of the frame's blur, infinite for one that
+ * must not tell; and the spots whose light reaches window i, from `neighbours[i]` to `neighbours[i + 1]` in the list
+ * `neighbour`. */
 typedef struct {
     i64 n, *begin, *count, *centre, *neighbours, *neighbour;      /* centre: column and row */
     double *dx, *dy, *light, *weight, *residual, *normal, *gradient, *theta, *expected, *prior, *step, *asks, *known;
