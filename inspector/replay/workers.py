@@ -8,7 +8,6 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -22,7 +21,7 @@ Task = TypeVar("Task")
 Made = TypeVar("Made")
 
 TRIES = 3
-"""So often may all that is under way have been so when a process died, before the work is given up."""
+"""So often may processes die with nothing done in between, before the work is given up."""
 
 
 MALLOC_TRIM_THRESHOLD, MALLOC_MMAP_THRESHOLD = -1, -3
@@ -56,18 +55,20 @@ def share(
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([getattr(work, "func", work).__module__])
     alive, _ours = context.Pipe(duplex=False)  # closed with this process, however it ends
-    left, deaths = dict(tasks), Counter[int]()
+    left, suspects, in_vain = dict(tasks), set[int](), 0
     while left:
         under_way: dict[Future[Made], int] = {}
         with ProcessPoolExecutor(min(jobs, len(left)), context, _begin_process, (alive,)) as pool:
-            calls = ((number, partial(work, task, deaths[number] > 0)) for number, task in list(left.items()))
+            calls = ((number, partial(work, task, number in suspects)) for number, task in list(left.items()))
             try:
                 for number, made in _made(pool, calls, jobs + 1, under_way):
                     del left[number]
+                    in_vain = 0
                     yield number, made
             except BrokenProcessPool as error:
-                deaths.update(under_way.values())
-                if min(deaths[number] for number in under_way.values()) >= TRIES:
+                suspects.update(under_way.values())
+                in_vain += 1
+                if in_vain == TRIES:
                     raise WorkersDied(DIED) from error
             finally:
                 pool.shutdown(wait=False, cancel_futures=True)
