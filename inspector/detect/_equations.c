@@ -27,7 +27,7 @@ static inline double exponential(double x) {
     return e;
 }
 
-enum { DARK = -12, BRIGHT = 40 };      /* a light of exp(-12) DN is none; of exp(40), a fit on its way to nowhere */
+enum { BRIGHT = 40 };      /* a light of exp(40) DN: a fit on its way to nowhere */
 
 /* exp(e), dark and bright ends cut. */
 static inline double light_of(double e) {

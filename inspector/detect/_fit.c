@@ -43,6 +43,12 @@ static void guess(const Image *im, const Rules *u, const Given *spot, const i64 
     t[SXX] = t[SYY] = blur, t[BACKGROUND] = base;
 }
 
+/* Go on from an earlier fit of the spot. What is under it is found in one step, wherever that starts. */
+static void take_up(const double *found, const i64 *centre, double *t) {
+    t[X] = found[FOUND_X] - (double)centre[0], t[Y] = found[FOUND_Y] - (double)centre[1], t[LOG_PEAK] = log(found[FOUND_PEAK]);
+    t[SXX] = found[FOUND_BLUR_XX], t[SXY] = found[FOUND_BLUR_XY], t[SYY] = found[FOUND_BLUR_YY];
+}
+
 /* Radius of a spot's window: its component's share and some background around it. */
 static double window_radius(const Rules *u, const Given *spot) {
     return fmin(fmax(ceil(sqrt(spot->area / PI)) + 2, u->least_radius), u->most_radius);
@@ -58,15 +64,19 @@ static void set_prior(const Rules *u, const double *start, int is_free, double *
 
 static double bounded(double v, double limit) { return v > limit ? limit : v < -limit ? -limit : isfinite(v) ? v : 0; }
 
-/* Keep a step where the linear model can be believed; returns the larger move of the centre. `shape` gets the largest
- * relative change of peak and blur, a tenth of it. */
-static double apply(double *t, const double *step, double *shape) {
-    double least = fmin(t[SXX], t[SYY]), blur = 0.3 * least;
+/* Take a step as far as the linear model can be believed; half of one that goes back over more than half of the last, or a
+ * spot narrower than its blur may be would go to and fro for good. Returns the larger move of the centre that was asked for;
+ * `shape` gets the largest relative change of peak and blur, a tenth of it. */
+static double apply(double *t, double *step, double *last, double *shape) {
+    double least = fmin(t[SXX], t[SYY]), blur = 0.3 * least, moved = fmax(fabs(step[X]), fabs(step[Y]));
+    int back = step[X] * last[0] + step[Y] * last[1] < -0.5 * (last[0] * last[0] + last[1] * last[1]);
     *shape = fmax(fabs(step[LOG_PEAK]), fmax(fabs(step[SXX]), fabs(step[SYY])) / least) / 10;
-    t[X] += bounded(step[X], 0.5), t[Y] += bounded(step[Y], 0.5), t[LOG_PEAK] += bounded(step[LOG_PEAK], 1);
+    for (int a = 0; back && a < PARAMETERS; a++) step[a] /= 2;
+    last[0] = bounded(step[X], 0.5), last[1] = bounded(step[Y], 0.5);
+    t[X] += last[0], t[Y] += last[1], t[LOG_PEAK] += bounded(step[LOG_PEAK], 1);
     for (int a = SXX; a <= SYY; a++) t[a] += bounded(step[a], blur);
     for (int a = BACKGROUND; a < PARAMETERS; a++) t[a] += bounded(step[a], 1e6);
-    return fmax(fabs(step[X]), fabs(step[Y]));
+    return moved;
 }
 
 typedef struct { double value, weight; } Weighed;
@@ -86,9 +96,9 @@ static double weighed_median(i64 n, Weighed *sample) {
 }
 
 /* Expect of every spot the blur that the frame shows: the median of all that tell, each by how well it knows its own. How far
- * it may be from that is a share of it. `usual` gets that blur; returns how much it changed, as a share of it. */
-static double expect_usual_blur(const Work *w, const Rules *u, const Given *spots, Weighed *sample, double usual[3]) {
-    double changed = 0;
+ * it may be from that is a share of it. `usual` has that blur; it is kept, and 0 returned, while the median is near it. */
+static int expect_usual_blur(const Work *w, const Rules *u, const Given *spots, Weighed *sample, double usual[3]) {
+    double median[3], changed = 0;
     for (int a = SXX; a <= SYY; a++) {
         i64 m = 0;
         for (i64 i = 0; i < w->n; i++) {
@@ -97,16 +107,18 @@ static double expect_usual_blur(const Work *w, const Rules *u, const Given *spot
             if (isfinite(w->known[i])) sample[m++] = (Weighed){t[a], 1 / (w->known[i] + scatter * scatter)};
         }
         if (!m) return 0;
-        double median = weighed_median(m, sample);
-        changed = fmax(changed, fabs(median - usual[a - SXX])), usual[a - SXX] = median;
+        median[a - SXX] = weighed_median(m, sample);
+        changed = fmax(changed, fabs(median[a - SXX] - usual[a - SXX]));
     }
-    double size = (usual[0] + usual[2]) / 2;
+    double size = (median[0] + median[2]) / 2;
+    if (changed < u->kept_share * size) return 0;
+    memcpy(usual, median, sizeof median);
     for (i64 i = 0; i < w->n; i++) {
         double spread = (spots[i].is_free ? u->free_share : u->held_share) * size;
         for (int a = SXX; a <= SYY; a++)
             w->expected[i * PARAMETERS + a] = usual[a - SXX], w->prior[i * PARAMETERS + a] = 1 / (spread * spread);
     }
-    return changed / size;
+    return 1;
 }
 
 /* Scratch of the spots solved together: derivatives of each, the same weighted, a spot's, their system and step. */
@@ -158,30 +170,38 @@ static void find_step(Work *w, const Rules *u, const Given *spots, i64 size, con
     for (i64 a = 0; a < size; a++) memcpy(w->step + member[a] * PARAMETERS, s->step + a * PARAMETERS, PARAMETERS * sizeof *s->step);
 }
 
-/* Rounds over all spots until all have settled in one. A spot that no other's light reaches is done with as soon as it and the
- * blur that is expected of it have settled. */
+/* Whether a tangle's spots, and all whose light reaches them, have settled. */
+static int has_settled(const Work *w, const Rules *u, const Tangle *t, const i64 *member) {
+    double most = 0;
+    for (i64 a = t->begin; a < t->begin + t->size; a++) {
+        i64 i = member[a];
+        most = fmax(most, w->moved[i]);
+        for (i64 m = w->neighbours[i]; m < w->neighbours[i + 1]; m++) most = fmax(most, w->moved[w->neighbour[m]]);
+    }
+    return most < u->settled_px;
+}
+
+/* Rounds over all spots until all have settled in one. A tangle rests as long as nothing that it hangs on changes. */
 static i64 settle(Work *w, const Rules *u, const Given *spots, i64 count, Tangle *tangle, const i64 *member,
                   Weighed *sample, const Scratch *s) {
     i64 round = 0;
-    double most = INFINITY, usual[3] = {INFINITY, INFINITY, INFINITY}, changed = INFINITY;
-    for (i64 k = 0; k < count; k++) tangle[k].settled = tangle[k].how == LEFT;
+    int changed = 1;
+    double most = INFINITY, shape, usual[3] = {INFINITY, INFINITY, INFINITY};
     for (; round < u->rounds && !(most < u->settled_px); round++) {
         if (round) changed = expect_usual_blur(w, u, spots, sample, usual);
         for (i64 k = 0; k < count; k++) {
-            const Tangle *t = tangle + k;
+            Tangle *t = tangle + k;
             i64 each = t->how == APART ? 1 : t->size;
-            for (i64 a = 0; !t->settled && a < t->size; a += each) find_step(w, u, spots, each, member + t->begin + a, s);
+            t->rests = t->how == LEFT || (!changed && has_settled(w, u, t, member));
+            for (i64 a = 0; !t->rests && a < t->size; a += each) find_step(w, u, spots, each, member + t->begin + a, s);
         }
         most = 0;
-        for (i64 k = 0; k < count; k++) {
-            Tangle *t = tangle + k;
-            for (i64 a = t->begin; !t->settled && a < t->begin + t->size; a++) {
-                i64 i = member[a], alone = w->neighbours[i] == w->neighbours[i + 1];
-                double shape, moved = apply(w->theta + i * PARAMETERS, w->step + i * PARAMETERS, &shape);
-                most = fmax(most, moved);
-                t->settled = alone && fmax(fmax(moved, shape), changed) < u->settled_px;
+        for (i64 k = 0; k < count; k++)
+            for (i64 a = tangle[k].begin; !tangle[k].rests && a < tangle[k].begin + tangle[k].size; a++) {
+                double *theta = w->theta + member[a] * PARAMETERS;
+                double moved = apply(theta, w->step + member[a] * PARAMETERS, w->last + 2 * member[a], &shape);
+                most = fmax(most, moved), w->moved[member[a]] = theta[LOG_PEAK] < DARK ? 0 : fmax(moved, shape);
             }
-        }
     }
     return round;
 }
@@ -253,13 +273,14 @@ static int open_windows(const Image *im, const Rules *u, const Given *spots, dou
     const i64 Q = PARAMETERS;
     i64 n = w->n, span = (i64)widest, most = (2 * span + 1) * (2 * span + 1) + LANES, pixels = 0;
     i64 *within = take(m, (span + 1) * (span + 1) + 1, sizeof *within), *whole = take(m, 6 * n + 2, sizeof *whole), *inside = whole + 5 * n + 2;
-    double *each = take(m, n * (Q * Q + 5 * Q + 1), sizeof *each), *offsets = take(m, 2 * most, sizeof *offsets);
+    double *each = take(m, n * (Q * Q + 5 * Q + 4), sizeof *each), *offsets = take(m, 2 * most, sizeof *offsets);
     if (m->failed) return 0;
     w->begin = whole, w->count = whole + n, w->centre = whole + 2 * n, w->neighbours = whole + 4 * n;
     w->normal = each, w->gradient = each + n * Q * Q, w->theta = w->gradient + n * Q, w->expected = w->theta + n * Q;
     w->prior = w->expected + n * Q, w->step = w->prior + n * Q, w->known = w->step + n * Q;
+    w->moved = w->known + n, w->last = w->moved + n;
     w->dx = offsets, w->dy = offsets + most;
-    memset(offsets, 0, (size_t)(2 * most) * sizeof *offsets);
+    memset(offsets, 0, (size_t)(2 * most) * sizeof *offsets), memset(w->moved, 0, (size_t)(3 * n) * sizeof *w->moved);
     list_offsets(widest, w->dx, w->dy, within);
     for (i64 i = 0; i < n; i++) {
         radius[i] = window_radius(u, spots + i);
@@ -276,6 +297,8 @@ static int open_windows(const Image *im, const Rules *u, const Given *spots, dou
         set_prior(u, w->theta + i * Q, spots[i].is_free, w->prior + i * Q);
     }
     memcpy(w->expected, w->theta, (size_t)(n * Q) * sizeof *w->theta);
+    for (i64 i = 0; i < n; i++)
+        if (spots[i].start) take_up(spots[i].start, w->centre + 2 * i, w->theta + i * Q);
     return 1;
 }
 

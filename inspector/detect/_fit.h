@@ -5,12 +5,13 @@
 
 enum { X, Y, LOG_PEAK, SXX, SXY, SYY, BACKGROUND, SLOPE_X, SLOPE_Y, PARAMETERS };
 enum { SHAPE = 6 };
+enum { DARK = -12 };      /* a light of exp(-12) DN is none */
 enum { LANES = 8 };      /* windows are filled up to a multiple of this with pixels without weight: sums need no remainder */
 
 struct Rules {      /* how grey values become light, what is clipped, and when a fit has settled; see fit.py */
     double black, gamma, clipped, full, level, read_dn, shot_per_dn, pattern;
     double threshold, least_radius, most_radius, tangled_px, damping, settled_px, held_share, free_share, steep_share;
-    double scatter_share, sharper;
+    double scatter_share, sharper, kept_share;
     double most_work;      /* of a round, in pixels at which a Gaussian is evaluated */
     i64 bloom_rows, bloom_columns, rounds;
 };
@@ -18,11 +19,11 @@ struct Rules {      /* how grey values become light, what is clipped, and when a
 /* The spots' windows: offsets (p) in order of distance, of which spot i takes the first `count[i]`, and from `begin[i]` on
  * their light, weight, what the model left over, and the least that this may be (0 if clipped, else anything); `normal`
  * (n, 9, 9) and `gradient` (n, 9); `known` (n), the variance of what a spot tells of the frame's blur, infinite for one that
- * must not tell; and the spots whose light reaches window i, from `neighbours[i]` to `neighbours[i + 1]` in the list
+ * must not tell; `moved` (n) and `last` (n, 2), how much its last step changed it and how far that took it; and the spots whose light reaches window i, from `neighbours[i]` to `neighbours[i + 1]` in the list
  * `neighbour`. */
 typedef struct {
     i64 n, *begin, *count, *centre, *neighbours, *neighbour;      /* centre: column and row */
-    double *dx, *dy, *light, *weight, *residual, *normal, *gradient, *theta, *expected, *prior, *step, *asks, *known;
+    double *dx, *dy, *light, *weight, *residual, *normal, *gradient, *theta, *expected, *prior, *step, *asks, *known, *moved, *last;
 } Work;
 
 /* A tangle: spots near each other, `size` of the list `member` from `begin` on, solved together; where that would be too
@@ -31,7 +32,7 @@ typedef struct {
     i64 begin, size;
     double work, work_apart;
     enum { TOGETHER, APART, LEFT } how;
-    int settled;
+    int rests;
 } Tangle;
 
 static inline i64 row_of(const Work *w, i64 i) { return w->centre[2 * i + 1]; }

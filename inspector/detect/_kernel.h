@@ -37,8 +37,9 @@ enum { CENTRE_X, CENTRE_Y, COMPONENT, SATURATED_PX, NARROW_PX, LONGER_PX, COMPON
        IS_HOT, COLUMNS };
 
 /* A spot before its fit: the ground's grey value, its share of its component's pixels, how many of its own are clipped, the
- * clipped lobe's lesser extent, where it is, whether it may have a blur of its own, and whether it is one that tells the frame's. */
-typedef struct { double ground, area, clipped, narrow, x, y; int is_free, tells_blur; } Given;
+ * clipped lobe's lesser extent, where it is, whether it may have a blur of its own, whether it is one that tells the frame's,
+ * and what an earlier fit found of it (FOUND), or NULL. */
+typedef struct { double ground, area, clipped, narrow, x, y; int is_free, tells_blur; const double *start; } Given;
 
 /* Columns of what the fit found of a spot; fit.py reads them by the same numbers. */
 enum { FOUND_X, FOUND_Y, FOUND_VARIANCE_X, FOUND_COVARIANCE_XY, FOUND_VARIANCE_Y, FOUND_PEAK, FOUND_FLUX, FOUND_BLUR2,

@@ -20,7 +20,7 @@ static i64 flags_of(const Standards *s, const double *t, double crowd) {
 
 /* Flags, and what the fit is given of each spot. Returns whether any shows the frame's blur unclipped; -1 without memory. */
 static int prepare(const Image *im, const Ground *ground, const Standards *s, i64 components, i64 n, const double *table,
-                   i64 *flags, Given *given) {
+                   i64 started, const double *start, i64 *flags, Given *given) {
     double *crowd = calloc((size_t)components + 1, sizeof *crowd);
     if (!crowd) return -1;
     for (i64 i = 0; i < n; i++) crowd[(i64)table[i * COLUMNS + COMPONENT]]++;
@@ -31,7 +31,7 @@ static int prepare(const Image *im, const Ground *ground, const Standards *s, i6
         flags[i] = flags_of(s, t, sharing);
         double level = background_at(im->height, im->width, ground->rows, ground->columns, ground->tiles, rint(y), rint(x));
         given[i] = (Given){level, t[COMPONENT_PX] / sharing, t[SATURATED_PX], t[NARROW_PX], x, y, !(flags[i] & s->held),
-                           !(flags[i] & s->hot)};
+                           !(flags[i] & s->hot), i < started && isfinite(start[i * FOUND]) ? start + i * FOUND : NULL};
         known |= !(flags[i] & s->unsure_flux);
     }
     free(crowd);
@@ -62,14 +62,16 @@ static void believe(const Standards *s, int blur_known, const double *t, const d
 }
 
 /* Measure the n spots of a table (n, COLUMNS): their flags, what the fit `found` (n, FOUND), and what of it is `believed`
- * (8 n: centres, covariance, flux, its deviation). Returns whether the frame's blur is known, or -1 without memory. */
+ * (8 n: centres, covariance, flux, its deviation). The first spots go on from `start` (started, FOUND), where that is not NaN. Returns
+ * whether the frame's blur is known, or -1 without memory. */
 i64 kernel_measure(const Image *im, i64 tile_rows, i64 tile_columns, const double *tiles, const Rules *u, const Standards *s,
-                   i64 components, i64 n, const double *table, i64 *flags, double *found, double *believed) {
+                   i64 components, i64 n, const double *table, i64 started, const double *start, i64 *flags, double *found,
+                   double *believed) {
     Given *given = malloc((size_t)(n + 1) * sizeof *given);
     if (!given) return -1;
     Ground ground = {tile_rows, tile_columns, tiles};
     Believed b = {believed, believed + 2 * n, believed + 6 * n, believed + 7 * n};
-    int known = prepare(im, &ground, s, components, n, table, flags, given);
+    int known = prepare(im, &ground, s, components, n, table, started, start, flags, given);
     int fine = known >= 0 && kernel_fit(im, u, n, given, found) >= 0;
     for (i64 i = 0; fine && i < n; i++) {
         if (isinf(found[i * FOUND + FOUND_CHI2])) flags[i] |= s->crowded;

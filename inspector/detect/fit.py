@@ -36,6 +36,8 @@ SCATTER_SHARE = 0.1
 """How much the blur's variance scatters among the spots of a frame, as a share of it: no spot tells it better."""
 SHARPER = 30.0
 """How much more a spot is held that would be sharper than the frame's usual: no spot is sharper than the lens."""
+KEPT_SHARE = 0.01
+"""Spots are held near the same usual blur until the frame's is this share off it."""
 STEEP_SHARE = 0.1
 """A background slope of this share of the peak a pixel is already unlikely."""
 TANGLED_PX, DAMPING = 6.0, 0.1
@@ -100,9 +102,9 @@ class Response:
         """What the fit goes by: `Rules` of `_fit.h`. ``bloom``: from a clipped pixel to where its charge runs."""
         light = (self.black_dn, self.sensor.gamma, self.clipped_dn, self.sensor.saturation_dn, self.level)
         noise = (self.read_dn, self.shot_per_dn, PATTERN_SHARE)
-        shares = (HELD_SHARE, FREE_SHARE, STEEP_SHARE, SCATTER_SHARE, SHARPER)
+        shares = (HELD_SHARE, FREE_SHARE, STEEP_SHARE, SCATTER_SHARE, SHARPER, KEPT_SHARE)
         windows = (threshold_dn, *WINDOW_RADIUS_PX, TANGLED_PX, DAMPING, SETTLED_PX)
-        return struct.pack("20d3q", *light, *noise, *windows, *shares, MOST_WORK, *bloom, ROUNDS)
+        return struct.pack("21d3q", *light, *noise, *windows, *shares, MOST_WORK, *bloom, ROUNDS)
 
 
 @dataclass(frozen=True)

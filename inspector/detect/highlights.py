@@ -54,6 +54,7 @@ FLAG_BITS = tuple(
 )
 """The bits that `_measure.c` sets and asks for, as it takes them."""
 _STANDARDS = struct.Struct("8d9q")
+_NOTHING = np.empty((0, kernel.FOUND_COLUMNS))
 
 
 class FrameRefused(ValueError):
@@ -195,15 +196,15 @@ def _explained(view: View, seen: Spots) -> tuple[Spots, kernel.Measured, list[bl
     return crowd, fit if crowd is bloomed else _measure(view, crowd), solved
 
 
-def _measure(view: View, spots: Spots) -> kernel.Measured:
-    """Flag and fit all spots: `kernel_measure` of `_measure.c`.
+def _measure(view: View, spots: Spots, start: FloatArray = _NOTHING) -> kernel.Measured:
+    """Flag and fit all spots: `kernel_measure` of `_measure.c`; the first k go on from ``start`` (k, 16), if not NaN.
 
     Where a fit ran away the plain centre is taken, known badly. The flux of a clipped spot hangs on its blur: in a
     frame that shows none unclipped it is little more than a guess.
     """
     rules = view.response.rules(spots.bloom, view.threshold_dn)
     standards = _standards(view.detection)
-    return kernel.measure(view.pixels, view.ground.tiles_dn, rules, standards, view.lit.components, spots.table)
+    return kernel.measure(view.pixels, view.ground.tiles_dn, rules, standards, view.lit.components, spots.table, start)
 
 
 def _standards(detection: Detection) -> bytes:
@@ -220,12 +221,20 @@ def _with_hidden(view: View, spots: Spots) -> tuple[Spots, kernel.Measured]:
     if len(hosts) == 0 or len(spots) > MOST_LOOKED_THROUGH:
         return spots, measured
     places = Fitted(measured.found).misfit_px[hosts]
-    trial = _measure(view, spots.with_more(hosts, places))
+    start = _start(spots, measured, hosts)
+    trial = _measure(view, spots.with_more(hosts, places), start)
     proven = _proven(Fitted(measured.found), Fitted(trial.found), hosts)
     if len(proven) == 0:
         return spots, measured
     spots = spots.with_more(hosts[proven], places[proven])
-    return spots, trial if len(proven) == len(hosts) else _measure(view, spots)
+    return spots, trial if len(proven) == len(hosts) else _measure(view, spots, start)
+
+
+def _start(spots: Spots, measured: kernel.Measured, hosts: IntArray) -> FloatArray:
+    """What was found (n, 16) of spots that a fit with more in the hosts' components may go on from; the others NaN."""
+    believed = (measured.xy_px == Fitted(measured.found).xy_px).all(axis=1)
+    apart = ~np.isin(spots.component, spots.component[hosts])
+    return np.where((believed & apart)[:, None], measured.found, np.nan)
 
 
 def _hidden(spots: Spots, measured: kernel.Measured) -> IntArray:

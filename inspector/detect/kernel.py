@@ -14,7 +14,7 @@ from inspector.model import FloatArray, Image, IntArray
 
 _MODULE = "inspector.detect._kernel"
 _detect = native.function(_MODULE, "kernel_detect", "ppiiiddippippp")
-_measure = native.function(_MODULE, "kernel_measure", "piipppiipppp")
+_measure = native.function(_MODULE, "kernel_measure", "piipppiipipppp")
 _bloom_fit = native.function(_MODULE, "bloom_fit", "iiippddippippp")
 
 SPOT_COLUMNS, FOUND_COLUMNS = 11, 16
@@ -105,17 +105,24 @@ class Measured:
 
 
 def measure(
-    pixels: Pixels, tiles_dn: FloatArray, rules: bytes, standards: bytes, components: int, spots: FloatArray
+    pixels: Pixels,
+    tiles_dn: FloatArray,
+    rules: bytes,
+    standards: bytes,
+    components: int,
+    spots: FloatArray,
+    start: FloatArray,
 ) -> Measured:
     """Flag and fit the spots of a table (n, 11). Raises MemoryError.
 
     ``tiles_dn`` (rows, columns) is the ground at tile centres; ``rules`` are fit.py's, ``standards`` highlights.py's.
+    ``start`` (k, 16) is what an earlier fit found of the first k spots, NaN of one that starts anew.
     """
     n = len(spots)
     flags, found, believed = np.empty(n, np.int64), np.empty((n, FOUND_COLUMNS)), np.empty(8 * n)
     done = _measure(
         pixels.described, *tiles_dn.shape, tiles_dn.tobytes(), rules, standards, components, n, spots.tobytes(),
-        out(flags), out(found), out(believed),
+        len(start), start.tobytes(), out(flags), out(found), out(believed),
     )  # fmt: skip
     if done < 0:
         raise MemoryError(f"no memory to fit {n} spots")

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from drawn import Drawing, lattice, nearest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from inspector.detect import highlights
-from inspector.model import Flag, FloatArray, Highlights, Reason
+from inspector import imagefile
+from inspector.detect import highlights, kernel
+from inspector.detect.spots import Spots
+from inspector.model import Flag, FloatArray, Highlights, IntArray, Reason
+from inspector.optics import Sensor
 from inspector.recipe import Detection
+
+CROWDED = Path(__file__).parents[2] / "config" / "frames" / "B003.png"
 
 
 def find(drawing: Drawing, xy_px: FloatArray, peak_dn: FloatArray | float, seed: int = 0) -> Highlights:
@@ -222,3 +229,18 @@ def test_more_spots_than_highlights_may_be_are_refused_though_they_are_one_compo
     with pytest.raises(highlights.FrameRefused) as refused:
         highlights.find(image, Detection(threshold_dn=60.0), drawing.sensor)
     assert refused.value.reason is Reason.TOO_MANY_HIGHLIGHTS
+
+
+def test_spots_far_from_hidden_ones_are_where_a_fit_from_the_start_puts_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    image, go_on, gone_on = imagefile.read(CROWDED), highlights._start, []
+    found = highlights.find(image, Detection(), Sensor())
+
+    def start_anew(spots: Spots, measured: kernel.Measured, hosts: IntArray) -> FloatArray:
+        start = go_on(spots, measured, hosts)
+        gone_on.append(np.isfinite(start).all(axis=1).sum())
+        return np.full_like(start, np.nan)
+
+    monkeypatch.setattr(highlights, "_start", start_anew)
+    anew = highlights.find(image, Detection(), Sensor())
+    assert max(gone_on) > len(found) / 2
+    assert np.abs(found.xy_px - anew.xy_px).max() < 0.005
