@@ -28,8 +28,8 @@ from inspector.replay.state import program, program_release
 from inspector.replay.tables import COUNTS, Written, written
 from inspector.replay.workers import WorkersDied
 
-PARTITION_BYTES = 4 << 20
-"""An index is shared out in partitions of this size: some three thousand frames, ten seconds' work."""
+PARTITION_BYTES = 1 << 20
+"""An index is shared out in partitions of this size: some eight hundred frames, three seconds' work."""
 PARTITION_WITHIN_S = 3600.0
 VERSION = 1
 NO_EXTRA = "reinspect needs pyarrow, and dask on a cluster: pip install 'seed-inspector[cluster]'"
