@@ -13,8 +13,10 @@ from typing import Any
 import pytest
 
 from firmware_bridge.simulators.module_server import ModuleServer
+from firmware_bridge.simulators.module_state import SimulatedModule
+from firmware_bridge.wire.profiles import PROFILES
 from inspector.archive.store import FILE
-from tests.line.conftest import Plc
+from tests.line.conftest import PROFILE, Plc, Station, simulated_module
 from tests.support.lives import Life
 
 SOAK_FRAMES = int(os.environ.get("SOAK_FRAMES", "4000"))
@@ -24,30 +26,42 @@ LOOKS = 20
 GROWTH_BYTES = 2**20
 
 
+@pytest.fixture(params=["serial", "tcp"])
+def flat_out(request: pytest.FixtureRequest, station: Station) -> Iterator[Station]:
+    """A station that waits for nothing but its module; by TCP not even for silences between requests."""
+    if request.param == "tcp":
+        server = ModuleServer(SimulatedModule(PROFILES[PROFILE], lambda: 0.0), 1, tcp=True).start()
+        host, port = server.address.split(":")
+        station.settings["module"]["link"] = {"kind": "tcp", "host": host, "port": int(port)}
+    else:
+        server = simulated_module(station)
+    station.settings["camera"]["rate_hz"] = 0
+    yield station
+    server.stop()
+
+
 @pytest.mark.long
 @pytest.mark.timeout(300 + (WARM_FRAMES + SOAK_FRAMES) // 4)
 def test_nothing_grows_and_each_pass_finds_the_same(
-    station: Any, module: Callable[[], ModuleServer], wait_until: Callable[..., Any], tmp_path: Path
+    flat_out: Station, wait_until: Callable[..., Any], tmp_path: Path
 ) -> None:
-    module()
-    station.settings["archive"] = {"folder": "archive", "frames": {"min_free_mb": 0, "last": 0, "most_mb": 20}}
-    station.settings["camera"]["rate_hz"] = 0
-    station.write()
-    with Life(station.file, tmp_path / "output", wait_until) as life:
+    flat_out.settings["archive"] = {"folder": "archive", "frames": {"min_free_mb": 0, "last": 0, "most_mb": 20}}
+    flat_out.write()
+    with Life(flat_out.file, tmp_path / "output", wait_until) as life:
         looks = list(_looks(life, wait_until))
         life.stop()
     resident, files, threads = zip(*looks, strict=True)
     assert max(resident[1:]) < resident[0] + GROWTH_BYTES, looks
     assert max(threads) == min(threads), looks
     assert max(files) <= min(files) + 4, looks  # an image, its folder, an index and a log that are open at the moment
-    with closing(sqlite3.connect(station.folder / "archive" / FILE)) as store:
+    with closing(sqlite3.connect(flat_out.folder / "archive" / FILE)) as store:
         found = store.execute(
             "SELECT count(*), count(DISTINCT f.name), count(DISTINCT f.name || r.verdict || ' ' || r.reasons || ' ' ||"
             " r.reasons_text || ' ' || r.defect_count || ' ' || coalesce(r.largest_height_um, '-'))"
             " FROM result r JOIN frame f ON f.result = r.id"
         ).fetchone()
     assert found[0] >= SOAK_FRAMES
-    assert found[1] == found[2] == len(list(station.frames.iterdir()))
+    assert found[1] == found[2] == len(list(flat_out.frames.iterdir()))
 
 
 def _looks(life: Life, wait_until: Callable[..., Any]) -> Iterator[tuple[int, int, int]]:
