@@ -206,6 +206,62 @@ ACTIONS = Table(
     sequence=None,
     recipe=False,
 )
+LAMP = Table(
+    "A row for each time that the lamp's burning hours were written down.",
+    "lamp l LEFT JOIN run u ON u.id = l.run",
+    "l.at_s",
+    (
+        Column("at", "time", "when", "l.at_s"),
+        *_plain("int64", "l", run="the run that it was in"),
+        *_plain("float64", "l", burnt_hours="how long this lamp had burnt, h"),
+        Column("station", "string", "the station's name", "u.station"),
+    ),
+    at="l.at_s",
+    sequence=None,
+    recipe=False,
+)
+RUNS = Table(
+    "A row for each run: the service from its start to its end.",
+    "run u",
+    "u.id",
+    (
+        *_plain("int64", "u", id="the run, counted"),
+        Column("started", "time", "when it started", "u.started_s"),
+        Column("ended", "time", "when it ended; null: it lasts, or was killed", "u.ended_s"),
+        *_plain("string", "u", station="the station's name", program="the program's version"),
+    ),
+    at="u.started_s",
+    sequence=None,
+    recipe=False,
+)
+SETTINGS = Table(
+    "A row for each version of the settings that was used.",
+    "settings_version s",
+    "s.first_used_s, s.name",
+    (
+        *_plain("string", "s", name="hash of all settings and the calibration"),
+        Column("first_used", "time", "when it was first used", "s.first_used_s"),
+        *_plain("string", "s", text="the whole of it, JSON"),
+    ),
+    at="s.first_used_s",
+    sequence=None,
+    recipe=False,
+)
+RECIPES = Table(
+    "A row for each version of a recipe that was used.",
+    "recipe_version v",
+    "v.first_used_s, v.hash",
+    (
+        *_plain("string", "v", hash="hash of the recipe's content"),
+        *_plain("int64", "v", recipe_id="the recipe, by number"),
+        *_plain("string", "v", name="its name"),
+        Column("first_used", "time", "when it was first used", "v.first_used_s"),
+        *_plain("string", "v", text="the whole of it, JSON"),
+    ),
+    at="v.first_used_s",
+    sequence=None,
+    recipe=False,
+)
 TABLES = {
     "results": RESULTS,
     "defects": DEFECTS,
@@ -213,6 +269,10 @@ TABLES = {
     "faults": FAULTS,
     "actions": ACTIONS,
     "panels": PANELS,
+    "lamp": LAMP,
+    "runs": RUNS,
+    "settings": SETTINGS,
+    "recipes": RECIPES,
 }
 
 

@@ -25,6 +25,10 @@ class What(enum.StrEnum):
     FAULTS = "faults"
     ACTIONS = "actions"
     PANELS = "panels"
+    LAMP = "lamp"
+    RUNS = "runs"
+    SETTINGS = "settings"
+    RECIPES = "recipes"
 
 
 @reports_app.command()

@@ -82,8 +82,9 @@ def test_every_form_has_the_same_rows(kept: Any, tmp_path: Path, what: str) -> N
     for row in parquet_rows:
         row |= {name: at(v) for name, v in row.items() if isinstance(v, datetime)}
     assert parquet_rows == json_rows
-    tables = {"panels": "result"}
+    tables = {"panels": "result", "settings": "settings_version", "recipes": "recipe_version"}
     assert [(len(lines),)] == stored(archive, f"SELECT count(*) FROM {tables.get(what, what.rstrip('s'))}")
+    assert lines
     assert all(list(row) == [column.name for column in TABLES[what].columns] for row in lines)
 
 
