@@ -198,7 +198,7 @@ def load(path: Path, *, secrets: bool = True) -> Settings:
         problems += tuple(_recipe_problems(document, settings, calibration))
     if settings:
         problems += (*_pace_problems(document, settings), *_trigger_problems(document, settings))
-        problems += tuple(_panel_problems(document, settings, calibration))
+        problems += (*_panel_problems(document, settings, calibration), *_disk_problems(document, settings))
         problems += tuple(_patch_problems(document, settings, calibration)) if calibration else ()
         problems += tuple(_tls_problems(document, settings, path.parent)) if secrets else ()
     if settings is None or calibration is None or problems:
@@ -295,6 +295,19 @@ def _recipe_problems(document: Document, settings: Settings, calibration: Calibr
         place: Place = ("recipes", n) if settings.recipes else ("recipe",)
         for below, value, allowed in recipe_proof.misfits(recipe, reach, panel):
             yield document.problem((*place, *below), value, allowed)
+
+
+def _disk_problems(document: Document, settings: Settings) -> Iterator[Problem]:
+    """Small files that would be on the archive's own disk: what they say must hold before that is there."""
+    files = {
+        "plc.sequence_file": settings.plc.sequence_file,
+        "recipe_choice_file": settings.recipe_choice_file,
+        "statistics_file": settings.statistics_file,
+    }
+    missing = ", ".join(name for name, file in files.items() if file is None)
+    if settings.archive is not None and settings.archive.disk is not None and missing:
+        allowed = f"these files would be on that disk, too: name others as {missing}"
+        yield document.problem(("archive", "disk"), str(settings.archive.disk), allowed)
 
 
 def _with_lamp_curve(document: Document, folder: Path) -> Document:

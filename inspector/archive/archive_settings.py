@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import Field, PositiveFloat, PositiveInt
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from firmware_bridge.strict import Strict
 
@@ -33,6 +33,10 @@ class ArchiveSettings(Strict):
 
     folder: Annotated[Path, Field(strict=False)]
     """Folder of the archive; made if it is not there."""
+    disk: Annotated[Path, Field(strict=False)] | None = None
+    """Where the archive's own disk is mounted, at the folder or above it: without it results wait in memory, and
+    nothing is written in its place. `plc.sequence_file`, `recipe_choice_file` and `statistics_file` must then be named.
+    null: the folder is on a disk that is always there."""
     commit_wait_s: float = Field(0.2, ge=0, le=10)
     """A result is shown to the PLC when it is on the disk, but waits no longer than this, seconds; STORE_DEGRADED then
     says that it may be lost."""
@@ -41,4 +45,10 @@ class ArchiveSettings(Strict):
 
     def under(self, folder: Path) -> ArchiveSettings:
         """The same settings with a relative folder taken from ``folder``."""
-        return self.model_copy(update={"folder": folder / self.folder})
+        return self.model_copy(update={"folder": folder / self.folder, "disk": self.disk and folder / self.disk})
+
+    @model_validator(mode="after")
+    def _is_on_its_disk(self) -> Self:
+        if self.disk is not None and not self.folder.is_relative_to(self.disk):
+            raise ValueError(f"folder is not on disk; allowed: {self.disk}, or below it")
+        return self

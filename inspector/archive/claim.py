@@ -20,11 +20,11 @@ class StoreInUse(StoreUnavailable):
 
 
 class Claim:
-    """The claim on a folder, to be taken before anything is written there. :meth:`take` and :meth:`close` are for one
-    thread, :meth:`holds` for any."""
+    """The claim on a folder, to be taken before anything is written there; not before its ``disk`` is mounted.
+    :meth:`take` and :meth:`close` are for one thread, :meth:`holds` for any."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder, self._path = folder, folder / LOCK
+    def __init__(self, folder: Path, disk: Path | None = None) -> None:
+        self._folder, self._path, self._disk = folder, folder / LOCK, disk
         self._lock: int | None = None
 
     def take(self) -> None:
@@ -63,6 +63,8 @@ class Claim:
     def _opened(self) -> int:
         """The lock, locked. Raises OSError, StoreInUse."""
         new = 0 if self._lock is not None else os.O_CREAT
+        if self._disk is not None and not self._disk.is_mount():
+            raise StoreUnavailable(f"{self._disk}: no disk is mounted there")
         if new:
             self._folder.mkdir(parents=True, exist_ok=True)
         lock = os.open(self._path, os.O_RDWR | os.O_CLOEXEC | new, 0o600)

@@ -92,7 +92,7 @@ def _told_if_late(settings: Settings) -> Iterator[None]:
 
 def _make_folder(settings: Settings) -> None:
     """Make the archive's folder, where small files are kept too; a disk that refuses is told when it is used."""
-    if settings.archive is not None:
+    if settings.archive is not None and settings.archive.disk is None:
         with suppress(OSError):
             settings.archive.folder.mkdir(parents=True, exist_ok=True)
 

@@ -156,7 +156,7 @@ class _Books:
     def __init__(self, settings: ArchiveSettings, run: Run) -> None:
         self.settings = settings
         about = {"station": run.station, "program": run.program}
-        folder, claim = settings.folder, Claim(settings.folder)
+        folder, claim = settings.folder, Claim(settings.folder, settings.disk)
         self.recorder = Recorder(
             folder, settings.frames, about, Outage("keeping of frames", settles_s=SETTLES_S), claim.holds
         )

@@ -118,6 +118,15 @@ def test_two_stations_cannot_have_one_archive_and_a_killed_one_leaves_no_lock(tm
     assert not claim.holds()
 
 
+def test_a_folder_on_a_disk_that_is_not_mounted_is_not_made(tmp_path: Path) -> None:
+    with pytest.raises(StoreUnavailable, match="no disk is mounted"):
+        Claim(tmp_path / "disk" / "archive", tmp_path / "disk").take()
+    assert not list(tmp_path.iterdir())
+    claim = Claim(tmp_path / "archive", Path("/"))
+    claim.take()
+    claim.close()
+
+
 def test_a_claimed_folder_that_is_gone_is_waited_for_and_not_made_anew(tmp_path: Path) -> None:
     folder, away = tmp_path / "archive", tmp_path / "away"
     claim = Claim(folder)

@@ -113,6 +113,33 @@ def test_no_result_is_missed_and_all_are_kept_when_the_disk_is_back(
 
 
 @pytest.mark.long
+def test_a_disk_that_is_not_mounted_at_the_start_is_waited_for(
+    station: Any, module: Callable[[], ModuleServer], wait_until: Callable[..., Any], disk: Any, tmp_path: Path
+) -> None:
+    module()
+    mounted = station.folder / "mounted"
+    own = disk(mounted)
+    own.pull()
+    station.settings["archive"] = {"folder": "mounted/archive", "disk": "mounted", "frames": {"min_free_mb": 0}}
+    station.settings["plc"]["sequence_file"] = "sequence.json"
+    station.settings |= {"recipe_choice_file": "recipe.json", "statistics_file": "statistics.json"}
+    station.settings["camera"]["rate_hz"] = 0
+    station.write()
+    with Life(station.file, tmp_path / "output", wait_until) as life:
+        watcher = life.watched()
+        life.shows(watcher, RESULTS)
+        assert not watcher.stored
+        assert "no disk is mounted there" in life.log
+        assert not list(mounted.iterdir())
+        own.mount()
+        _until_kept(watcher, watcher.shown[-1], wait_until, life)
+        life.stop()
+        watcher.join()
+    found = sequences(mounted / "archive", tmp_path / "copy")
+    assert found == list(range(1, found[-1] + 1))
+
+
+@pytest.mark.long
 def test_without_inodes_the_oldest_frames_go_and_no_result_waits(
     station: Any, module: Callable[[], ModuleServer], wait_until: Callable[..., Any], disk: Any, tmp_path: Path
 ) -> None:
