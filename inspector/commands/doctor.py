@@ -240,6 +240,9 @@ def _plc_serial(settings: Settings) -> Iterator[Finding]:
 def _archive(archive: ArchiveSettings) -> Finding:
     """Whether results and frames can be kept. Nothing is made there: it would be this user's, not the service's."""
     tried, least_mb = f"look at {archive.folder} (archive.folder)", archive.frames.min_free_mb
+    if archive.disk is not None and not archive.disk.is_mount():
+        found = f"no disk is mounted at {archive.disk} (archive.disk)"
+        return Finding("archive", State.FAILED, tried, found, "mount it; results wait for it in memory")
     there = next(path for path in (archive.folder.absolute(), *archive.folder.absolute().parents) if path.exists())
     if not (there.is_dir() and os.access(there, os.W_OK | os.X_OK)):
         remedy = f"name another folder, or let this user (uid {os.getuid()}) write there"

@@ -145,6 +145,12 @@ def test_an_archive_that_cannot_be_written_or_has_no_room(station: Any, monkeypa
     assert found(station.file)["archive"].state is State.OK
     assert not (station.folder / "kept").exists()
     monkeypatch.setattr(doctor.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 10**6))
+    station.settings["archive"]["disk"] = "kept"
+    station.settings["plc"]["sequence_file"] = "sequence.json"
+    station.settings |= {"recipe_choice_file": "recipe.json", "statistics_file": "statistics.json"}
+    station.write()
+    assert "no disk is mounted" in found(station.file)["archive"].found
+    del station.settings["archive"]["disk"]
     station.settings["archive"]["frames"]["min_free_mb"] = 2
     station.write()
     assert found(station.file)["archive"].state is State.WARNING
