@@ -198,7 +198,10 @@ def load(path: Path, *, secrets: bool = True) -> Settings:
         problems += tuple(_recipe_problems(document, settings, calibration))
     if settings:
         problems += (*_pace_problems(document, settings), *_trigger_problems(document, settings))
-        problems += (*_panel_problems(document, settings, calibration), *_disk_problems(document, settings))
+        problems += (
+            *_panel_problems(document, settings, calibration),
+            *_disk_problems(document, settings, path.parent),
+        )
         problems += tuple(_patch_problems(document, settings, calibration)) if calibration else ()
         problems += tuple(_tls_problems(document, settings, path.parent)) if secrets else ()
     if settings is None or calibration is None or problems:
@@ -297,17 +300,16 @@ def _recipe_problems(document: Document, settings: Settings, calibration: Calibr
             yield document.problem((*place, *below), value, allowed)
 
 
-def _disk_problems(document: Document, settings: Settings) -> Iterator[Problem]:
-    """Small files that would be on the archive's own disk: what they say must hold before that is there."""
+def _disk_problems(document: Document, settings: Settings, folder: Path) -> Iterator[Problem]:
     files = {
         "plc.sequence_file": settings.plc.sequence_file,
         "recipe_choice_file": settings.recipe_choice_file,
         "statistics_file": settings.statistics_file,
+        "lamp.hours_file": settings.lamp.hours_file or Path(os.devnull),
     }
-    missing = ", ".join(name for name, file in files.items() if file is None)
-    if settings.archive is not None and settings.archive.disk is not None and missing:
-        allowed = f"these files would be on that disk, too: name others as {missing}"
-        yield document.problem(("archive", "disk"), str(settings.archive.disk), allowed)
+    wrong = settings.archive and settings.archive.disk_misfit(files, folder)
+    if settings.archive and wrong:
+        yield document.problem(("archive", "disk"), str(settings.archive.disk), wrong)
 
 
 def _with_lamp_curve(document: Document, folder: Path) -> Document:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated
 
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveFloat, PositiveInt
 
 from firmware_bridge.strict import Strict
 
@@ -35,20 +37,35 @@ class ArchiveSettings(Strict):
     """Folder of the archive; made if it is not there."""
     disk: Annotated[Path, Field(strict=False)] | None = None
     """Where the archive's own disk is mounted, at the folder or above it: without it results wait in memory, and
-    nothing is written in its place. `plc.sequence_file`, `recipe_choice_file` and `statistics_file` must then be named.
-    null: the folder is on a disk that is always there."""
+    nothing is written in its place. `plc.sequence_file`, `recipe_choice_file` and `statistics_file` must then be named,
+    elsewhere. null: the folder is on a disk that is always there."""
     commit_wait_s: float = Field(0.2, ge=0, le=10)
     """A result is shown to the PLC when it is on the disk, but waits no longer than this, seconds; STORE_DEGRADED then
     says that it may be lost."""
     frames: KeptFrames = KeptFrames.default()
     """Which frames are kept."""
 
+    @property
+    def place(self) -> tuple[Path, Path | None]:
+        """What makes it another archive."""
+        return self.folder, self.disk
+
     def under(self, folder: Path) -> ArchiveSettings:
         """The same settings with a relative folder taken from ``folder``."""
         return self.model_copy(update={"folder": folder / self.folder, "disk": self.disk and folder / self.disk})
 
-    @model_validator(mode="after")
-    def _is_on_its_disk(self) -> Self:
-        if self.disk is not None and not self.folder.is_relative_to(self.disk):
-            raise ValueError(f"folder is not on disk; allowed: {self.disk}, or below it")
-        return self
+    def disk_misfit(self, files: Mapping[str, Path | None], folder: Path) -> str | None:
+        """What is allowed, where ``disk`` is not above the archive's folder, or is above one of the small ``files``:
+        what they say must hold before the disk is there. A file that is None is in the archive; relative paths count
+        from ``folder``."""
+        if self.disk is None:
+            return None
+        disk = os.path.normpath(folder / self.disk)
+        if not _is_below(folder / self.folder, disk):
+            return "allowed: archive.folder or a folder above it"
+        there = [name for name, file in files.items() if file is None or _is_below(folder / file, disk)]
+        return f"allowed: name files that are not on it as {', '.join(there)}" if there else None
+
+
+def _is_below(path: Path, folder: str) -> bool:
+    return Path(os.path.normpath(path)).is_relative_to(folder)

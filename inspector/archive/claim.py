@@ -19,6 +19,11 @@ class StoreInUse(StoreUnavailable):
     """Another process has the archive."""
 
 
+def is_mounted(disk: Path) -> bool:
+    """Whether a disk is mounted there, or where a link leads. One that cannot be asked is not."""
+    return os.path.ismount(os.path.realpath(disk))
+
+
 class Claim:
     """The claim on a folder, to be taken before anything is written there; not before its ``disk`` is mounted.
     :meth:`take` and :meth:`close` are for one thread, :meth:`holds` for any."""
@@ -63,7 +68,7 @@ class Claim:
     def _opened(self) -> int:
         """The lock, locked. Raises OSError, StoreInUse."""
         new = 0 if self._lock is not None else os.O_CREAT
-        if self._disk is not None and not self._disk.is_mount():
+        if self._disk is not None and not is_mounted(self._disk):
             raise StoreUnavailable(f"{self._disk}: no disk is mounted there")
         if new:
             self._folder.mkdir(parents=True, exist_ok=True)

@@ -310,7 +310,7 @@ class _Rotating:
 
 
 def _give_back() -> None:
-    """To the system, the memory of frames that waited while the disk was slow: glibc keeps it for others that may never
-    come. A fraction of a millisecond."""
+    """To the system, the memory of rows and files that waited while the disk was slow: glibc keeps it for others that
+    may never come. A fraction of a millisecond."""
     with suppress(AttributeError):  # another C library
         ctypes.CDLL(None).malloc_trim(0)

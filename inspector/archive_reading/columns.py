@@ -32,7 +32,7 @@ class Column:
 @dataclass(frozen=True, slots=True)
 class Table:
     """Rows: where they come from, in which order; SQL for a row's time, for the end of it where it lasts, for its
-    sequence and its recipe, where it has them."""
+    sequence, and for its recipe's id and hash, where it has them."""
 
     says: str
     source: str
@@ -41,7 +41,7 @@ class Table:
     at: str = "r.at_s"
     until: str | None = None
     sequence: str | None = "r.sequence"
-    recipe: bool = True
+    recipe: tuple[str, str] | None = ("r.recipe_id", "r.recipe")
 
 
 def _verdict(number: int) -> str:
@@ -87,7 +87,7 @@ RECIPE = [
     Column("recipe_id", "int64", "the recipe, by number", "r.recipe_id"),
     Column("recipe_name", "string", "the recipe's name; null: not kept", "v.name"),
     Column("recipe", "string", "hash of the recipe's content", "r.recipe"),
-    Column("settings", "string", "hash of all settings and the calibration", "r.settings"),
+    Column("settings", "string", "hash of what inspection depends on, and the calibration", "r.settings"),
 ]
 RESULTS = Table(
     "A row for each result, as the PLC was shown it.",
@@ -190,7 +190,7 @@ FAULTS = Table(
     at="f.began_s",
     until="coalesce(f.ended_s, u.ended_s, (SELECT min(n.started_s) FROM run n WHERE n.id > f.run), 9e99)",
     sequence="f.sequence",
-    recipe=False,
+    recipe=None,
 )
 ACTIONS = Table(
     "A row for each thing that a person or the PLC did to the station.",
@@ -204,7 +204,7 @@ ACTIONS = Table(
     ),
     at="a.at_s",
     sequence=None,
-    recipe=False,
+    recipe=None,
 )
 LAMP = Table(
     "A row for each time that the lamp's burning hours were written down.",
@@ -213,12 +213,12 @@ LAMP = Table(
     (
         Column("at", "time", "when", "l.at_s"),
         *_plain("int64", "l", run="the run that it was in"),
-        *_plain("float64", "l", burnt_hours="how long this lamp had burnt, h"),
+        *_plain("float64", "l", burnt_hours="how long it had burnt, h, by `lamp.hours_file`; without, in this run"),
         Column("station", "string", "the station's name", "u.station"),
     ),
     at="l.at_s",
     sequence=None,
-    recipe=False,
+    recipe=None,
 )
 RUNS = Table(
     "A row for each run: the service from its start to its end.",
@@ -231,21 +231,22 @@ RUNS = Table(
         *_plain("string", "u", station="the station's name", program="the program's version"),
     ),
     at="u.started_s",
+    until="coalesce(u.ended_s, (SELECT min(n.started_s) FROM run n WHERE n.id > u.id), 9e99)",
     sequence=None,
-    recipe=False,
+    recipe=None,
 )
 SETTINGS = Table(
     "A row for each version of the settings that was used.",
     "settings_version s",
     "s.first_used_s, s.name",
     (
-        *_plain("string", "s", name="hash of all settings and the calibration"),
+        *_plain("string", "s", name="hash of what inspection depends on, and the calibration"),
         Column("first_used", "time", "when it was first used", "s.first_used_s"),
-        *_plain("string", "s", text="the whole of it, JSON"),
+        *_plain("string", "s", text="all settings as they then were, and the calibration, JSON"),
     ),
     at="s.first_used_s",
     sequence=None,
-    recipe=False,
+    recipe=None,
 )
 RECIPES = Table(
     "A row for each version of a recipe that was used.",
@@ -260,7 +261,7 @@ RECIPES = Table(
     ),
     at="v.first_used_s",
     sequence=None,
-    recipe=False,
+    recipe=("v.recipe_id", "v.hash"),
 )
 TABLES = {
     "results": RESULTS,
@@ -293,5 +294,5 @@ list of objects), `.parquet` (needs `pip install 'seed-inspector[export]'`; each
 here). Numbers have every digit that the store has. A time is ISO 8601 in UTC, in Parquet a timestamp in UTC, to the
 microsecond. What is infinite is null in JSON.
 
-`--from` and `--to` take times (from, to before) or sequences (both included); a fault is of every time that it lasted.
-Without them it is everything."""
+`--from` and `--to` take times (from, to before) or sequences (both included); a fault or a run is of every time that it
+lasted, settings and recipes are of the time when they were first used. Without them it is everything."""

@@ -35,8 +35,9 @@ def _conditions(table: Table, selection: Selection) -> Iterator[tuple[str, tuple
 
 
 def _of_recipe(table: Table, recipe: str) -> tuple[str, tuple[Any, ...]]:
-    if not table.recipe:
+    if table.recipe is None:
         raise Unusable("these are of no recipe: leave --recipe out")
+    number, content = table.recipe
     if recipe.isascii() and recipe.isdigit() and len(recipe) < 10:
-        return "r.recipe_id = ?", (int(recipe),)
-    return "r.recipe IN (SELECT hash FROM recipe_version WHERE name = ?)", (recipe,)
+        return f"{number} = ?", (int(recipe),)
+    return f"{content} IN (SELECT hash FROM recipe_version WHERE name = ?)", (recipe,)

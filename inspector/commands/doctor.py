@@ -26,6 +26,7 @@ from firmware_bridge.links.ports import open_serial
 from inspector import calibration_file, yaml_document
 from inspector.acquire.fresh import FreshFrames
 from inspector.archive.archive_settings import ArchiveSettings
+from inspector.archive.claim import is_mounted
 from inspector.clock import synchronised
 from inspector.publish.plc_server import PlcServer, PlcServerError
 from inspector.service import permissions
@@ -101,7 +102,13 @@ def examine(config: Path, build: Build = factory.build) -> Iterator[Finding]:
         yield _plc_port(settings)
         yield from _plc_serial(settings)
         if settings.archive is not None:
-            yield _archive(settings.archive)
+            try:
+                yield _archive(settings.archive)
+            except OSError as error:
+                tried = f"look at {settings.archive.folder} (archive.folder)"
+                yield Finding(
+                    "archive", State.FAILED, tried, str(error.strerror), "look at the disk's health and mount"
+                )
     yield _disk(config.absolute().parent)
     yield _clock(time.time())
 
@@ -240,9 +247,9 @@ def _plc_serial(settings: Settings) -> Iterator[Finding]:
 def _archive(archive: ArchiveSettings) -> Finding:
     """Whether results and frames can be kept. Nothing is made there: it would be this user's, not the service's."""
     tried, least_mb = f"look at {archive.folder} (archive.folder)", archive.frames.min_free_mb
-    if archive.disk is not None and not archive.disk.is_mount():
-        found = f"no disk is mounted at {archive.disk} (archive.disk)"
-        return Finding("archive", State.FAILED, tried, found, "mount it; results wait for it in memory")
+    if archive.disk is not None and not is_mounted(archive.disk):
+        found = f"no disk is mounted at {archive.disk} (archive.disk): results would wait in memory"
+        return Finding("archive", State.WARNING, tried, found, "mount it, and look at its health")
     there = next(path for path in (archive.folder.absolute(), *archive.folder.absolute().parents) if path.exists())
     if not (there.is_dir() and os.access(there, os.W_OK | os.X_OK)):
         remedy = f"name another folder, or let this user (uid {os.getuid()}) write there"

@@ -37,7 +37,7 @@ FLUX_SIGMA, CLIPPED_FLUX_SIGMA, BLOOM_FLUX_SIGMA = 0.1, 0.25, 1.2
 HIDDEN_CHI2, HIDDEN_SIGMA, HIDDEN_GAIN = 12.0, 8.0, 0.5
 """A second spot is tried where a fit is this poor and one pixel off by so much; kept if chi2 falls to this share."""
 MOST_LOOKED_THROUGH = 500
-"""In a frame of more spots none is looked for behind others: each look fits all of them anew."""
+"""In a frame of more spots none is looked for behind others: each look fits those anew that share a component."""
 HIDDEN_PEAK_SHARE, LEAST_APART_PX = 0.005, 1.7
 """A second spot fainter than this share of the first, or nearer to it, cannot be told from an unsharp one."""
 LOST_PX = 2.5

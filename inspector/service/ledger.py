@@ -56,7 +56,7 @@ class Ledger:
         archive, books = settings.archive, self._books
         self._held = []  # of a panel that has ended with the settings before
         left: list[Entry] = []
-        if books is not None and (archive is None or archive.folder != books.settings.folder):
+        if books is not None and (archive is None or archive.place != books.settings.place):
             left = self._closed(books)
             left, books = [*books.writer.standing, *left] if left else [], None
         if archive is None:
@@ -64,6 +64,7 @@ class Ledger:
         elif books is None:
             books = _Books(archive, Run(self._started_s, version("seed-inspector"), settings.station))
             books.go_on_with(left)
+            self._hours = None  # these are to be found in each store
         if archive is not None and books is not None:
             books.go_by(archive, settings, self._clock())
         self._books = books
@@ -156,7 +157,7 @@ class _Books:
     def __init__(self, settings: ArchiveSettings, run: Run) -> None:
         self.settings = settings
         about = {"station": run.station, "program": run.program}
-        folder, claim = settings.folder, Claim(settings.folder, settings.disk)
+        folder, claim = settings.folder, Claim(*settings.place)
         self.recorder = Recorder(
             folder, settings.frames, about, Outage("keeping of frames", settles_s=SETTLES_S), claim.holds
         )

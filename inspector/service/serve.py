@@ -27,8 +27,8 @@ log = logging.getLogger(__name__)
 
 EXIT_STOPPED, EXIT_PORT_TAKEN, EXIT_SETTINGS_REFUSED = 0, 69, 78
 """Exit statuses, as sysexits.h names them: done, EX_UNAVAILABLE, EX_CONFIG (which no restart mends)."""
-_M_MMAP_THRESHOLD, _IMAGE_BYTES = -3, 128 * 1024
-"""mallopt(3): blocks from this size on are mapped, and unmapped when they are freed; images are larger."""
+_M_MMAP_THRESHOLD, _IMAGE_BYTES = -3, 64 * 1024
+"""mallopt(3): blocks from this size on are mapped, and unmapped when they are freed: images, but for the smallest."""
 
 
 def run(file: Path, panels: int | None = None, duration_s: float | None = None) -> int:

@@ -122,9 +122,11 @@ def test_a_folder_on_a_disk_that_is_not_mounted_is_not_made(tmp_path: Path) -> N
     with pytest.raises(StoreUnavailable, match="no disk is mounted"):
         Claim(tmp_path / "disk" / "archive", tmp_path / "disk").take()
     assert not list(tmp_path.iterdir())
-    claim = Claim(tmp_path / "archive", Path("/"))
-    claim.take()
-    claim.close()
+    (tmp_path / "link").symlink_to("/")
+    for disk in (Path("/"), tmp_path / "link"):
+        claim = Claim(tmp_path / "archive", disk)
+        claim.take()
+        claim.close()
 
 
 def test_a_claimed_folder_that_is_gone_is_waited_for_and_not_made_anew(tmp_path: Path) -> None:

@@ -112,6 +112,11 @@ def test_what_is_asked_for_is_what_comes(kept: Any, tmp_path: Path) -> None:
     assert sequences("--from", begin, "--to", end) == [2, 3]
     assert sequences("--recipe", "black gloss") == sequences("--recipe", "1") == list(times)
     assert sequences("--recipe", "another") == []
+    for recipe, rows in (("black gloss", 1), ("1", 1), ("another", 0)):
+        assert export(out, archive, "--what", "recipes", "--recipe", recipe).exit_code == 0
+        assert len(read(out)) == rows
+    assert export(out, archive, "--what", "runs", "--from", begin, "--to", end).exit_code == 0
+    assert len(read(out)) == 1
 
 
 def test_what_was_refused_meanwhile_is_a_fault_with_its_duration(kept: Any, tmp_path: Path) -> None:

@@ -211,6 +211,24 @@ def test_the_archive_offers_what_the_table_of_metrics_names(station: Any, archiv
     ledger.close()
 
 
+def test_what_waited_for_a_disk_that_was_misnamed_is_kept_when_that_is_corrected(station: Any, archive: Path) -> None:
+    station.settings["plc"]["sequence_file"] = "sequence.json"
+    station.settings |= {"recipe_choice_file": "recipe.json", "statistics_file": "statistics.json"}
+    station.settings["archive"]["disk"] = str(archive)
+    misnamed = load(station.write())
+    del station.settings["archive"]["disk"]
+    corrected = load(station.write())
+    ledger = Ledger()
+    ledger.take_over(misnamed)
+    ledger.acted("PLC", "before")
+    ledger.burnt(1.0)
+    ledger.take_over(corrected)
+    ledger.acted("PLC", "after")
+    ledger.close()
+    assert read(archive, "SELECT what FROM action ORDER BY at_s") == [("before",), ("after",)]
+    assert read(archive, "SELECT burnt_hours FROM lamp") == [(1.0,)]
+
+
 def test_a_panel_of_several_frames_is_kept_as_one(
     station: Any, archive: Path, module: Callable[[], ModuleServer], service: Callable[..., Any]
 ) -> None:

@@ -70,8 +70,18 @@ def test_a_right_file_is_settings_with_its_paths_ready(write: Write, tmp_path: P
             {"plc": {"tls": {"certificate": "none.pem", "key": "none.key", "client_ca": "none.pem"}}},
             "plc.tls.certificate: 'none.pem': No such file or directory; allowed: give a file",
         ),
-        ({"archive": {"folder": "/mnt/a", "disk": "/mnt/b"}}, "folder is not on disk; allowed: /mnt/b, or below"),
-        ({"archive": {"folder": "/mnt/a", "disk": "/mnt"}}, "archive.disk: '/mnt': these files would be on that disk"),
+        (
+            {"archive": {"folder": "/m/../a", "disk": "/m"}},
+            "archive.disk: '/m': allowed: archive.folder or a folder above it",
+        ),
+        (
+            {"archive": {"folder": "/mnt/a", "disk": "/mnt"}},
+            "archive.disk: '/mnt': allowed: name files that are not on it",
+        ),
+        (
+            {"archive": {"folder": "/m/a", "disk": "/m/./"}, "recipe_choice_file": "/m/r", "statistics_file": "/s"},
+            "archive.disk: '/m': allowed: name files that are not on it as plc.sequence_file, recipe_choice_file",
+        ),
         ({"plc": {"word_order": "big"}}, "plc.word_order: 'big': allowed: one of: high_first, low_first"),
         ({"camera": None}, "camera: missing: required; allowed: "),
         (
