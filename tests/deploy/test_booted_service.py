@@ -313,3 +313,22 @@ def test_what_runs_as_the_service_can_do_nothing_else(station: Station) -> None:
         "this machine": "Connection refused",
         "credential": "secret",
     }
+
+
+@pytest.mark.long
+def test_an_archive_has_a_disk_that_is_mounted_after_the_service_has_started(station: Station) -> None:
+    archive, private = "/var/lib/inspector/archive", "/var/lib/private/inspector"
+    station.settings["archive"] = {"folder": archive, "disk": archive, "frames": {"min_free_mb": 0}}
+    station.settings |= {f"{name}_file": f"/var/lib/inspector/{name}.json" for name in ("recipe_choice", "statistics")}
+    station.settings["plc"]["sequence_file"] = "/var/lib/inspector/sequence.json"
+    station.write()
+    station.machine.boot()
+    station.plug_in_module()
+    station.until(lambda r: r["verdict"] and r["status"] & Status.STORE_DEGRADED, "results wait for the disk")
+    assert station.log("no disk is mounted there")
+    station.machine.run("mkdir", f"{private}/archive")
+    station.machine.run("mount", "-t", "tmpfs", "-o", "mode=700", "archive", f"{private}/archive")
+    station.machine.run("chown", f"--reference={private}", f"{private}/archive")
+    station.until(lambda r: r["verdict"] and not r["status"] & Status.STORE_DEGRADED, "they are on the disk")
+    station.systemctl("restart", "inspector")
+    station.until(lambda r: r["verdict"] and not r["status"] & Status.STORE_DEGRADED, "they are again")
