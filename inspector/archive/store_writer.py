@@ -81,6 +81,11 @@ class StoreWriter:
         """Where a damaged store was put; None if it was sound."""
         return self._set_aside
 
+    @property
+    def hangs(self) -> bool:
+        """Whether an entry has waited so long that something must be wrong."""
+        return self.lag_s() > SLOW_S
+
     def lag_s(self) -> float:
         """For how long the oldest entry has waited, seconds."""
         since_s = self._since_s
@@ -123,7 +128,7 @@ class StoreWriter:
 
     def watch(self) -> None:
         """Tell the log, in whoever's thread this is, if the store hangs: its own thread then does, too."""
-        if self.lag_s() > SLOW_S:
+        if self.hangs:
             self._outage.begins(f"{self._folder} takes more than {SLOW_S:g} s. {Fault.STORE_DEGRADED.remedy}")
 
     def close(self, timeout_s: float, ended_s: float) -> list[Entry]:

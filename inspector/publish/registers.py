@@ -77,7 +77,7 @@ STATUS_MEANINGS = {
     Status.LIST_TRUNCATED: "More defects than the defect list shows",
     Status.SETTINGS_REFUSED: "New settings were refused or taken back (503); inspection goes on with the old ones",
     Status.LAMP_WEAK: "The lamp is near the end of what its level may be raised by (203): change the bulb soon",
-    Status.STORE_DEGRADED: "A result that is shown may not be on the disk (601); inspection goes on",
+    Status.STORE_DEGRADED: "A result that is shown, or the next, may not be on the disk (601); inspection goes on",
     Status.STORE_DAMAGED: "The results' store was damaged, and a new one begun (602); until CLEAR_FAULT",
     Status.CLOCK_UNSYNCHRONISED: "Nothing is known to keep the station's clock right: its records' times may be wrong",
 }

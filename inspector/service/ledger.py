@@ -170,8 +170,8 @@ class _Books:
 
     @property
     def degraded(self) -> bool:
-        """Whether a result that is shown may not be on the disk."""
-        return not self.writer.has(self._last)
+        """Whether a result that is shown, or would be next, may not be on the disk."""
+        return not self.writer.has(self._last) or self.writer.hangs
 
     @property
     def damaged(self) -> object:

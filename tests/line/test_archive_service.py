@@ -21,7 +21,7 @@ from firmware_bridge.simulators.module_server import ModuleServer
 from firmware_bridge.wire import session
 from inspector import settings_version
 from inspector.acquire.capture import Wanted
-from inspector.archive import result_json
+from inspector.archive import result_json, store_writer
 from inspector.archive.session_frames import inspected, version_file
 from inspector.archive.store import FILE
 from inspector.cli.app import app
@@ -208,6 +208,17 @@ def test_the_archive_offers_what_the_table_of_metrics_names(station: Any, archiv
     assert ledger.gauges() == {}
     ledger.take_over(load(station.file))
     assert set(ledger.gauges()) == {metric.name for metric in ARCHIVE}
+    ledger.close()
+
+
+def test_a_store_that_cannot_be_opened_is_told_before_there_is_a_result(
+    station: Any, archive: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(store_writer, "SLOW_S", 0.0)
+    archive.write_text("in the way")
+    ledger = Ledger()
+    ledger.take_over(load(station.file))
+    assert ledger.shown(Snapshot()).store_degraded
     ledger.close()
 
 
