@@ -126,17 +126,27 @@ def _on_cluster(scheduler: str, work: Work, tasks: Sequence[Task]) -> Iterator[t
         except TimeoutError as error:
             raise Unusable(f"{scheduler} has no workers: start some, dask worker {scheduler}") from error
         _refuse_others(client.run(program_release, on_error="return"))
-        futures = {client.submit(work, part, False, pure=False, retries=RETRIES): number for number, part in tasks}
+        futures = {client.submit(_signed, work, part, pure=False, retries=RETRIES): number for number, part in tasks}
         done: Any = as_completed
         for future in done(list(futures), loop=client.loop):
             number = futures.pop(future)
             try:
-                yield number, future.result()
+                worker, theirs, made = future.result()
             except KilledWorker:
                 killed.append(number)
+            else:
+                _refuse_others({worker: theirs})  # it may have joined since the others were asked
+                yield number, made
             future.release()
     if killed:
         raise WorkersDied(f"workers died at partitions {killed}, which are not written; run it again to try these")
+
+
+def _signed(work: Work, part: Part) -> tuple[str, str, Written]:
+    """What a worker makes of a partition, with its address and its release of this program."""
+    from distributed import get_worker
+
+    return get_worker().address, program_release(), work(part, False)
 
 
 def _refuse_others(told: dict[str, object]) -> None:

@@ -218,6 +218,23 @@ def test_workers_of_another_release_are_refused(
         reinspect._refuse_others({"tcp://a": AttributeError("program_release"), "tcp://b": "0.0.1"})
 
 
+def test_what_a_worker_of_another_release_made_that_joined_later_is_not_taken(
+    archive: Path, cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    refuse, asked = reinspect._refuse_others, list[object]()
+
+    def before_they_joined(told: dict[str, object]) -> None:
+        asked.append(told)
+        if len(asked) > 1:
+            refuse(told)
+
+    monkeypatch.setattr(state, "release", lambda _: "0.0.1")
+    monkeypatch.setattr(reinspect, "_refuse_others", before_they_joined)
+    assert made(tmp_path / "out", archive, scheduler=cluster.address) == 2
+    assert "release, 0.0.1: tcp://127.0.0.1:" in capsys.readouterr().err
+    assert tables(tmp_path / "out") == {}
+
+
 def test_a_worker_that_is_killed_costs_what_it_was_at(
     archive: Path, alone: dict[str, bytes], cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
