@@ -35,6 +35,7 @@ from inspector.replay.command import Output, run
 
 ROOT = Path(__file__).parents[1]
 PART = 50
+SCENES = ("line", "demo", "all")
 FEW_SEEDS = 2
 
 
@@ -99,12 +100,13 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("--frames", type=int, default=10000)
     options.add_argument("--rounds", type=int, default=3)
+    options.add_argument("--scenes", nargs="+", choices=SCENES, default=SCENES)
     asked = options.parse_args()
     versions = f"Python {platform.python_version()}, OpenCV {cv2.__version__}"
     print(f"{platform.machine()}, {workers.cores()} cores, load {os.getloadavg()[0]:.1f}, {versions}")
     print(f"{asked.rounds} rounds; seconds are medians")
     with tempfile.TemporaryDirectory() as tmp:
-        for name in ("line", "demo", "all"):
+        for name in asked.scenes:
             for what, clock, jobs, frames in (
                 ("by the clock", time.monotonic, workers.cores(), asked.frames),
                 ("processor time", time.process_time, 1, asked.frames // 10),
