@@ -7,7 +7,6 @@ out; when it is full, the oldest sessions go.
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import logging
 import os
@@ -20,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from firmware_bridge.wire.session import Recorded
+from inspector import heap
 from inspector.archive import retention
 from inspector.archive.archive_settings import KeptFrames
 from inspector.archive.entries import Place
@@ -183,7 +183,7 @@ class Recorder:
             if time.monotonic() > self._looked_s + LOOK_EVERY_S:
                 self._looked_s = time.monotonic()
                 self.make_room()
-                _give_back()
+                heap.give_back()  # of rows and files that waited while the disk was slow
             try:
                 if jobs:
                     self._write(jobs)
@@ -307,10 +307,3 @@ class _Rotating:
     def end(self) -> None:
         """The next frames go into a new session; in any thread."""
         self.name = None
-
-
-def _give_back() -> None:
-    """To the system, the memory of rows and files that waited while the disk was slow: glibc keeps it for others that
-    may never come. A fraction of a millisecond."""
-    with suppress(AttributeError):  # another C library
-        ctypes.CDLL(None).malloc_trim(0)

@@ -70,6 +70,7 @@ def _plain(kind: str, of: str, **says: str) -> list[Column]:
     return [Column(name, kind, text, f"{of}.{name}") for name, text in says.items()]
 
 
+STATION = Column("station", "string", "the station's name", "u.station")
 OF_RESULT = [
     Column("id", "int64", "names the result for good: run in the upper 32 bits, sequence in the lower", "r.id"),
     Column("run", "int64", "the service from its start to its end, counted", f"r.id >> {RUN_BITS}"),
@@ -120,7 +121,7 @@ PANELS = Table(
         *OF_RESULT,
         *VERDICT,
         *RECIPE,
-        Column("station", "string", "the station's name", "u.station"),
+        STATION,
         Column("program", "string", "the program's version", "u.program"),
         Column("seeds", "int64", "seeds", "r.defect_count"),
         Column("height_mean_um", "float64", "mean height, um; null: no seed has one",
@@ -185,7 +186,7 @@ FAULTS = Table(
         *_plain("int64", "f", code="the fault code, as in the registers"),
         Column("meaning", "string", "what it means", "f.code", meaning),
         *_plain("int64", "f", run="the run that it was in", sequence="the last result before it"),
-        Column("station", "string", "the station's name", "u.station"),
+        STATION,
     ),
     at="f.began_s",
     until="coalesce(f.ended_s, u.ended_s, (SELECT min(n.started_s) FROM run n WHERE n.id > f.run), 9e99)",
@@ -200,7 +201,7 @@ ACTIONS = Table(
         Column("at", "time", "when", "a.at_s"),
         *_plain("int64", "a", run="the run that it was in"),
         *_plain("string", "a", who="who did it", what="what was done", detail="more of it"),
-        Column("station", "string", "the station's name", "u.station"),
+        STATION,
     ),
     at="a.at_s",
     sequence=None,
@@ -214,7 +215,7 @@ LAMP = Table(
         Column("at", "time", "when", "l.at_s"),
         *_plain("int64", "l", run="the run that it was in"),
         *_plain("float64", "l", burnt_hours="how long it had burnt, h, by `lamp.hours_file`; without, in this run"),
-        Column("station", "string", "the station's name", "u.station"),
+        STATION,
     ),
     at="l.at_s",
     sequence=None,

@@ -1,9 +1,7 @@
-"""Work shared among this machine's cores, each a process; a process that dies costs what it was at, done once
-more."""
+"""Work shared among this machine's cores, each a process; a process that dies costs what it was at, done once more."""
 
 from __future__ import annotations
 
-import ctypes
 import multiprocessing
 import os
 import signal
@@ -11,23 +9,19 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from itertools import islice
 from multiprocessing.connection import Connection
 from typing import TypeVar
+
+from inspector import heap
 
 Task = TypeVar("Task")
 Made = TypeVar("Made")
 
 TRIES = 3
 """So often may processes die with nothing done in between, before the work is given up."""
-
-
-MALLOC_TRIM_THRESHOLD, MALLOC_MMAP_THRESHOLD = -1, -3
-"""Numbers of mallopt(3)."""
-KEPT_BYTES = 32 << 20
-"""As much as mallopt takes."""
 
 
 class WorkersDied(RuntimeError):
@@ -107,15 +101,11 @@ def _end_with(alive: Connection) -> None:
 
 
 def _begin() -> None:
-    """One thread in each process, they are as many as the cores already; and memory that a frame took is kept for the
-    next one: glibc gives it back each time, and having it anew costs up to a quarter of a frame's time."""
+    """One thread in each process, they are as many as the cores already."""
     import cv2
 
     cv2.setNumThreads(1)
-    with suppress(AttributeError):  # another C library
-        mallopt = ctypes.CDLL(None).mallopt
-        mallopt(MALLOC_MMAP_THRESHOLD, KEPT_BYTES)
-        mallopt(MALLOC_TRIM_THRESHOLD, KEPT_BYTES)
+    heap.keep_for_the_next_frame()
 
 
 @contextmanager

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import logging
 import sys
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from inspector import journal_log
+from inspector import heap, journal_log
 from inspector.journal_log import JournalHandler, TextFormatter, leads_to_journal
 from inspector.publish.plc_server import PlcServerError
 from inspector.publish.result_log import ResultLog, on_terminal
@@ -27,8 +25,6 @@ log = logging.getLogger(__name__)
 
 EXIT_STOPPED, EXIT_PORT_TAKEN, EXIT_SETTINGS_REFUSED = 0, 69, 78
 """Exit statuses, as sysexits.h names them: done, EX_UNAVAILABLE, EX_CONFIG (which no restart mends)."""
-_M_MMAP_THRESHOLD, _IMAGE_BYTES = -3, 64 * 1024
-"""mallopt(3): blocks from this size on are mapped, and unmapped when they are freed: images, but for the smallest."""
 
 
 def run(file: Path, panels: int | None = None, duration_s: float | None = None) -> int:
@@ -36,7 +32,7 @@ def run(file: Path, panels: int | None = None, duration_s: float | None = None) 
 
     Settings that are refused are named in the log, all of them, and the last good ones used in their place, if any are.
     """
-    _keep_images_off_the_heap()
+    heap.keep_images_off()
     signals = Signals()
     signals.install()
     gauges = _begin_log()
@@ -64,13 +60,6 @@ def run(file: Path, panels: int | None = None, duration_s: float | None = None) 
     trial = SettingsTrial(file, begun, folder)
     Daemon(file, front, signals, trial=trial, tell=tell).run(Limits(panels, duration_s))
     return EXIT_STOPPED
-
-
-def _keep_images_off_the_heap() -> None:
-    """glibc learns from the first image that is freed to keep such blocks in its heap, where small ones that outlive
-    them leave holes between: the process then keeps its worst moment for months."""
-    with suppress(AttributeError):  # another C library
-        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _IMAGE_BYTES)
 
 
 def _begin_log() -> tuple[Gauges, ...]:

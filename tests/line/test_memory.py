@@ -8,12 +8,12 @@ import sys
 IMAGES_THAT_WAITED = """
 import os
 from pathlib import Path
-from inspector.service.serve import _keep_images_off_the_heap
+from inspector import heap
 
 def resident():
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
-_keep_images_off_the_heap()
+heap.keep_images_off()
 image = b"x" * 307_200
 del image
 before, images, rows = resident(), [], []
